@@ -1,0 +1,101 @@
+"""What a user can set: one frozen value, each field with its unit, its range or choices, and a description."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from softtissue_estimator.errors import InvalidInputError
+
+
+def _setting(
+    default: Any,
+    description: str,
+    *,
+    unit: str = "",
+    limits: tuple[float, float] | None = None,
+    choices: tuple[str, ...] | None = None,
+) -> Any:
+    metadata = {"unit": unit, "range": limits, "choices": choices, "description": description}
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class EstimatorConfig:
+    """Settings of the estimator and of the node around it.
+
+    The metadata of every field holds `unit` ('' if it has none), `range` (lowest, highest; both allowed; None
+    if unlimited), `choices` (None if free) and `description`; parameters elsewhere are derived from them.
+
+    Raises
+    ------
+    InvalidInputError
+        If a value is of the wrong type, outside its range or not one of the choices.
+    """
+
+    estimator: str = _setting(
+        "elastic", "Which estimator answers: 'elastic' (elastic posterior), 'paper' (U-Net) or a registered one."
+    )
+    organ: str = _setting("", "Folder with organ.yaml; empty for the bundled phantom liver.")
+    checkpoint: str = _setting("", "Network weights (safetensors); empty for the bundled ones.")
+    device: str = _setting(
+        "auto", "Where the network runs; 'auto' takes a GPU if there is one.", choices=("auto", "cuda", "cpu")
+    )
+    autostart: bool = _setting(True, "Configure and activate the node without being asked.")
+    default_sigma_m: float = _setting(
+        0.001, "Standard deviation of each component of a correspondence that states none.",
+        unit="m", limits=(1e-5, 0.05),
+    )
+    max_displacement_m: float = _setting(
+        0.15, "Correspondences that moved further than this are rejected.", unit="m", limits=(0.001, 1.0)
+    )
+    max_reference_distance_m: float = _setting(
+        0.01, "Correspondences whose preoperative point is further than this from the organ's surface are rejected.",
+        unit="m", limits=(0.0005, 0.03),
+    )
+    minimum_points: int = _setting(
+        3, "Fewest usable correspondences for an answer.", unit="points", limits=(3, 100_000)
+    )
+    minimum_visible_fraction: float = _setting(
+        0.05, "Below this share of the surface seen, the status is DEGRADED.", limits=(0.0, 1.0)
+    )
+    maximum_rejected_fraction: float = _setting(
+        0.5, "Above this share of rejected correspondences, the status is DEGRADED.", limits=(0.0, 1.0)
+    )
+    frame_budget_s: float = _setting(
+        0.1, "A frame that takes longer than this makes the status DEGRADED.", unit="s", limits=(0.001, 60.0)
+    )
+    no_data_timeout_s: float = _setting(
+        2.0, "Without a usable cloud for this long, the status says so.", unit="s", limits=(0.1, 3600.0)
+    )
+    poisson_ratio: float = _setting(
+        0.35, "Poisson's ratio of the organ, used by 'elastic'.", limits=(0.0, 0.49)
+    )
+    prior_sigma_m: float = _setting(
+        0.015, "How far visible points are expected to move beyond a rigid motion, used by 'elastic'.",
+        unit="m", limits=(0.0005, 0.1),
+    )
+    model_sigma_m: float = _setting(
+        0.0007, "Error of the elastic model itself; points of one small neighbourhood share it.",
+        unit="m", limits=(1e-5, 0.01),
+    )
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            _check(field, getattr(self, field.name))
+
+
+def _check(field: "dataclasses.Field[Any]", value: Any) -> None:
+    kind: type = type(field.default)
+    unit = f" {field.metadata['unit']}" if field.metadata["unit"] else ""
+    accepted: tuple[type, ...] = (int, float) if kind is float else (kind,)
+    if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
+        raise InvalidInputError(f"parameter {field.name}: expected {kind.__name__}, got {value!r}")
+    choices = field.metadata["choices"]
+    if choices is not None and value not in choices:
+        raise InvalidInputError(f"parameter {field.name}: expected one of {', '.join(choices)}, got {value!r}")
+    limits = field.metadata["range"]
+    if limits is not None and not (math.isfinite(value) and limits[0] <= value <= limits[1]):
+        raise InvalidInputError(
+            f"parameter {field.name}: expected {limits[0]} to {limits[1]}{unit}, got {value}{unit}"
+        )

@@ -1,0 +1,21 @@
+"""The errors a user can cause. Every message says what is wrong, what was expected and what was found."""
+
+
+class SoftTissueError(Exception):
+    """Anything that a caller may catch and report as one sentence."""
+
+
+class InvalidInputError(SoftTissueError, ValueError):
+    """An argument, a parameter or an observation that cannot be used."""
+
+
+class MeshError(SoftTissueError):
+    """A mesh that cannot be read or has no usable geometry."""
+
+
+class OrganError(SoftTissueError):
+    """An organ folder that is incomplete or contradicts itself."""
+
+
+class CheckpointError(SoftTissueError):
+    """Network weights that are damaged or do not fit the network."""
