@@ -1,0 +1,59 @@
+# The commands of this repository; `make help` lists them.
+
+PYTHON ?= python3.11
+# Arguments for pytest and for the demo: make test PYTEST_ARGS="-k organ", make demo DEMO_ARGS="--help".
+PYTEST_ARGS ?=
+DEMO_ARGS ?=
+
+VENV_STAMP := .venv/.installed
+BUILD_STAMP := ros2_ws/install/.built
+
+VENV_INPUTS := constraints.txt $(wildcard requirements*.txt) $(wildcard training/pyproject.toml) \
+	scripts/check_tools scripts/patch_ros_wheels.py scripts/setup_venv
+# Python modules are linked into the workspace, so that editing them needs no build. Folders are listed beside their
+# files: their time changes when a file comes or goes.
+BUILD_INPUTS := scripts/build_workspace scripts/env.sh \
+	$(wildcard softtissue_estimator/package.xml softtissue_estimator/setup.py softtissue_estimator/setup.cfg) \
+	$(shell find softtissue_msgs -not -name '.*') \
+	$(shell find $(addprefix softtissue_estimator/,bags config launch organs rviz weights) \
+		-not -name '.*' -not -name '*.pyc' -not -name __pycache__ 2>/dev/null)
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: build clean demo distclean format help lint test venv
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+venv: $(VENV_STAMP) ## create .venv with everything pinned in constraints.txt
+
+build: $(BUILD_STAMP) ## set up .venv and build the ROS 2 workspace
+
+demo: $(BUILD_STAMP) ## the main job on the bundled phantom: table, out/demo/report.json, out/demo/phantom.png
+	@scripts/demo $(DEMO_ARGS)
+
+test: $(BUILD_STAMP) ## all tests, in the built workspace
+	@echo "==> Running the tests"
+	@scripts/run python -m pytest -ra $(PYTEST_ARGS) tests
+
+lint: $(VENV_STAMP) ## ruff (rules and format) and mypy --strict; needs no built workspace
+	@echo "==> ruff and mypy"
+	@.venv/bin/ruff check .
+	@.venv/bin/ruff format --check .
+	@.venv/bin/mypy
+
+format: $(VENV_STAMP) ## let ruff format the sources and mend what it can
+	@.venv/bin/ruff check --fix .
+	@.venv/bin/ruff format .
+
+clean: ## remove what was built and written: ros2_ws/{build,install,log}, out, caches
+	rm -rf ros2_ws/build ros2_ws/install ros2_ws/log out .mypy_cache .ruff_cache .pytest_cache .hypothesis
+
+distclean: clean ## and .venv
+	rm -rf .venv .build.lock training/*.egg-info
+
+$(VENV_STAMP): $(VENV_INPUTS)
+	@scripts/setup_venv $(PYTHON)
+
+$(BUILD_STAMP): $(VENV_STAMP) $(BUILD_INPUTS)
+	@scripts/build_workspace
