@@ -1,0 +1,29 @@
+"""Choice of the device that a network runs on."""
+
+from __future__ import annotations
+
+import torch
+
+from softtissue_estimator.errors import InvalidInputError
+
+
+def choose_device(name: str) -> torch.device:
+    """Return the device for the parameter `device`.
+
+    Parameters
+    ----------
+    name
+        'auto' (CUDA where there is one), 'cuda' or 'cpu'.
+
+    Raises
+    ------
+    InvalidInputError
+        CUDA was asked for and is not available, or the name is none of these.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise InvalidInputError("parameter device: expected a CUDA device for 'cuda', got none on this machine")
+    if name not in ("cuda", "cpu"):
+        raise InvalidInputError(f"parameter device: expected 'auto', 'cuda' or 'cpu', got {name!r}")
+    return torch.device(name)

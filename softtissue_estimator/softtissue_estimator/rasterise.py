@@ -1,0 +1,105 @@
+"""Scattered surface values onto a voxel grid, by normalised convolution with a Gaussian kernel.
+
+The paper interpolates displacements and the attached region to the grid "with a Gaussian kernel" (section "Grid"). Here
+every point is first shared out among its eight neighbouring cells, then numerator and denominator are smoothed with the
+same kernel and divided. The cost depends on the size of the grid and only weakly on the number of points, and the
+cells that receive a value depend on where points are, not on how many: 13 points and 40,000 points are treated alike.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import torch
+from torch import Tensor
+
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.grid import VoxelGrid
+
+KERNEL_SIGMA_CELLS = 1.0
+KERNEL_RADIUS_CELLS = 1
+
+
+def rasterise(
+    grid: VoxelGrid, points: Tensor, values: Tensor, weights: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """Spread values that are known at points onto the cells around them.
+
+    Parameters
+    ----------
+    grid
+        Where to.
+    points
+        (n, 3) metres, in the frame of the grid; points outside the grid are ignored.
+    values
+        (n, c) any unit.
+    weights
+        (n,) positive, for instance inverse variances; all equal if None.
+
+    Returns
+    -------
+    values
+        (X, Y, Z, c) weighted mean of the values near each cell; 0 where there is none. Device and dtype of `values`.
+    support
+        (X, Y, Z) bool, true where a point lies within two cells along every axis.
+    """
+    _check(points, values, weights)
+    count = values.shape[1]
+    accumulated = _splat(grid, points, _numerator_and_denominator(values, weights))
+    smooth = _smooth(accumulated.reshape(*grid.shape, count + 1))
+    denominator = smooth[..., count]
+    support = denominator > 0.0
+    mean = smooth[..., :count] / torch.where(support, denominator, 1.0).unsqueeze(-1)
+    return mean * support.unsqueeze(-1), support
+
+
+def _numerator_and_denominator(values: Tensor, weights: Tensor | None) -> Tensor:
+    if weights is None:
+        return torch.cat([values, torch.ones_like(values[:, :1])], dim=1)
+    # Only ratios of weights matter: dividing by the largest keeps inverse variances (1e6 m^-2) in float32's range.
+    relative = (weights / weights.max().clamp_min(torch.finfo(values.dtype).tiny)).to(values.dtype).unsqueeze(1)
+    return torch.cat([values * relative, relative], dim=1)
+
+
+def _splat(grid: VoxelGrid, points: Tensor, data: Tensor) -> Tensor:
+    """Add data (n, k) to the eight cells around each point with trilinear weights; returns (cells, k)."""
+    origin = torch.tensor(grid.origin, dtype=points.dtype, device=points.device)
+    position = (points - origin) / grid.spacing
+    base = position.floor()
+    fraction = (position - base).to(data.dtype)
+    base = base.long()
+    shape = torch.tensor(grid.shape, device=points.device)
+    total = data.new_zeros((grid.cells, data.shape[1]))
+    for corner in itertools.product((0, 1), repeat=3):
+        offset = torch.tensor(corner, device=points.device)
+        cell = base + offset
+        inside = ((cell >= 0) & (cell < shape)).all(dim=1)
+        share = torch.where(offset.bool(), fraction, 1.0 - fraction).prod(dim=1) * inside
+        flat = (cell[:, 0] * grid.shape[1] + cell[:, 1]) * grid.shape[2] + cell[:, 2]
+        total.index_add_(0, torch.where(inside, flat, 0), data * share.unsqueeze(1))
+    return total
+
+
+def _smooth(data: Tensor) -> Tensor:
+    """Convolve (X, Y, Z, k) with the truncated Gaussian along each axis, zero beyond the grid."""
+    for axis in range(3):
+        smooth = data.clone()
+        for step in range(1, KERNEL_RADIUS_CELLS + 1):
+            factor = math.exp(-0.5 * (step / KERNEL_SIGMA_CELLS) ** 2)
+            length = data.shape[axis] - step
+            smooth.narrow(axis, step, length).add_(data.narrow(axis, 0, length), alpha=factor)
+            smooth.narrow(axis, 0, length).add_(data.narrow(axis, step, length), alpha=factor)
+        data = smooth
+    return data
+
+
+def _check(points: Tensor, values: Tensor, weights: Tensor | None) -> None:
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InvalidInputError(f"points must have the shape (n, 3), got {tuple(points.shape)}")
+    if values.ndim != 2 or values.shape[0] != points.shape[0]:
+        raise InvalidInputError(
+            f"values must have the shape ({points.shape[0]}, c), one row a point, got {tuple(values.shape)}"
+        )
+    if weights is not None and weights.shape != (points.shape[0],):
+        raise InvalidInputError(f"weights must have the shape ({points.shape[0]},), got {tuple(weights.shape)}")
