@@ -1,4 +1,6 @@
-"""What a user can set: one frozen value, each field with its unit, its range or choices, and a description."""
+"""What a user can set: one frozen value, each field with its unit, its range or choices, and a
+description.
+"""
 
 import dataclasses
 import math
@@ -34,7 +36,8 @@ class EstimatorConfig:
     """
 
     estimator: str = _setting(
-        "elastic", "Which estimator answers: 'elastic' (elastic posterior), 'paper' (U-Net) or a registered one."
+        "elastic",
+        "Which estimator answers: 'elastic' (elastic posterior), 'paper' (U-Net) or a registered one.",
     )
     organ: str = _setting("", "Folder with organ.yaml; empty for the bundled phantom liver.")
     checkpoint: str = _setting("", "Network weights (safetensors); empty for the bundled ones.")
@@ -43,15 +46,19 @@ class EstimatorConfig:
     )
     autostart: bool = _setting(True, "Configure and activate the node without being asked.")
     default_sigma_m: float = _setting(
-        0.001, "Standard deviation of each component of a correspondence that states none.",
-        unit="m", limits=(1e-5, 0.05),
+        0.001,
+        "Standard deviation of each component of a correspondence that states none.",
+        unit="m",
+        limits=(1e-5, 0.05),
     )
     max_displacement_m: float = _setting(
         0.15, "Correspondences that moved further than this are rejected.", unit="m", limits=(0.001, 1.0)
     )
     max_reference_distance_m: float = _setting(
-        0.01, "Correspondences whose preoperative point is further than this from the organ's surface are rejected.",
-        unit="m", limits=(0.0005, 0.03),
+        0.01,
+        "Correspondences whose preoperative point is further than this from the organ's surface are rejected.",
+        unit="m",
+        limits=(0.0005, 0.03),
     )
     minimum_points: int = _setting(
         3, "Fewest usable correspondences for an answer.", unit="points", limits=(3, 100_000)
@@ -72,12 +79,16 @@ class EstimatorConfig:
         0.35, "Poisson's ratio of the organ, used by 'elastic'.", limits=(0.0, 0.49)
     )
     prior_sigma_m: float = _setting(
-        0.015, "How far visible points are expected to move beyond a rigid motion, used by 'elastic'.",
-        unit="m", limits=(0.0005, 0.1),
+        0.015,
+        "How far visible points are expected to move beyond a rigid motion, used by 'elastic'.",
+        unit="m",
+        limits=(0.0005, 0.1),
     )
     model_sigma_m: float = _setting(
-        0.0007, "Error of the elastic model itself; points of one small neighbourhood share it.",
-        unit="m", limits=(1e-5, 0.01),
+        0.0007,
+        "Error of the elastic model itself; points of one small neighbourhood share it.",
+        unit="m",
+        limits=(1e-5, 0.01),
     )
 
     def __post_init__(self) -> None:
@@ -86,14 +97,16 @@ class EstimatorConfig:
 
 
 def _check(field: "dataclasses.Field[Any]", value: Any) -> None:
-    kind: type = type(field.default)
+    kind: Any = type(field.default)
     unit = f" {field.metadata['unit']}" if field.metadata["unit"] else ""
-    accepted: tuple[type, ...] = (int, float) if kind is float else (kind,)
+    accepted: Any = (int, float) if kind is float else (kind,)
     if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
         raise InvalidInputError(f"parameter {field.name}: expected {kind.__name__}, got {value!r}")
     choices = field.metadata["choices"]
     if choices is not None and value not in choices:
-        raise InvalidInputError(f"parameter {field.name}: expected one of {', '.join(choices)}, got {value!r}")
+        raise InvalidInputError(
+            f"parameter {field.name}: expected one of {', '.join(choices)}, got {value!r}"
+        )
     limits = field.metadata["range"]
     if limits is not None and not (math.isfinite(value) and limits[0] <= value <= limits[1]):
         raise InvalidInputError(

@@ -40,7 +40,9 @@ class SurfaceMesh:
             raise MeshError(f"surface faces: expected shape (m, 3), got {faces.shape}")
         if not np.isfinite(vertices).all():
             bad = int((~np.isfinite(vertices).all(axis=1)).sum())
-            raise MeshError(f"surface vertices: expected finite coordinates, got {bad} vertices with NaN or inf")
+            raise MeshError(
+                f"surface vertices: expected finite coordinates, got {bad} vertices with NaN or inf"
+            )
         if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
             raise MeshError(
                 f"surface faces: expected vertex indices 0 to {len(vertices) - 1}, "
@@ -64,9 +66,14 @@ def face_areas(mesh: SurfaceMesh) -> FloatArray:
 
 
 def vertex_areas(mesh: SurfaceMesh) -> FloatArray:
-    """A third of the area of each adjacent face, (n,) m^2; the sum is the surface area."""
+    """Give each vertex a third of the area of each adjacent face, (n,) m^2; the sum is the whole area."""
     share = np.repeat(face_areas(mesh) / 3.0, 3)
-    return np.bincount(mesh.faces.ravel(), weights=share, minlength=len(mesh.vertices))
+    return sum_by_index(mesh.faces.ravel(), share, len(mesh.vertices))
+
+
+def sum_by_index(index: IntArray, weights: FloatArray, size: int) -> FloatArray:
+    """Sum of the weights that share an index, (size,); index and weights are (n,)."""
+    return np.bincount(index, weights=weights, minlength=size).astype(np.float64, copy=False)
 
 
 def enclosed_volume(mesh: SurfaceMesh) -> float:

@@ -35,9 +35,9 @@ def make_observation(
 ) -> tuple[Observation, int]:
     """Check correspondences and drop the unusable ones.
 
-    Dropped is a correspondence with a number that is not finite, with a sigma that is not positive, that moved
-    further than `max_displacement_m`, or whose preoperative point is further than `max_reference_distance_m`
-    from the organ's surface. Arguments are copied, never changed.
+    Dropped is a correspondence with a number that is not finite, with a sigma that is not positive, that
+    moved further than `max_displacement_m`, or whose preoperative point is further than
+    `max_reference_distance_m` from the organ's surface. Arguments are copied, never changed.
 
     Parameters
     ----------
@@ -85,7 +85,9 @@ def _as_points(values: Any, what: str) -> FloatArray:
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InvalidInputError(f"{what}: expected numbers of shape (n, 3), got {type(values).__name__}") from error
+        raise InvalidInputError(
+            f"{what}: expected numbers of shape (n, 3), got {type(values).__name__}"
+        ) from error
     if array.ndim != 2 or array.shape[1] != 3:
         raise InvalidInputError(f"{what}: expected shape (n, 3), got {array.shape}")
     return array

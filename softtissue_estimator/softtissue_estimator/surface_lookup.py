@@ -1,8 +1,8 @@
 """Find the nearest surface of tens of thousands of points in a few milliseconds.
 
-The surface is covered with samples, one a cell of a fine grid; a table holds for every cell around the surface
-which sample is nearest. A point then costs one table access whatever the mesh, and the distance found is off by
-at most about one cell.
+The surface is covered with samples, one a cell of a fine grid; a table holds for every cell around the
+surface which sample is nearest. A point then costs one table access whatever the mesh, and the distance
+found is off by at most about one cell.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.mesh import FloatArray, IntArray, SurfaceMesh, face_areas, sample_faces
+from softtissue_estimator.mesh import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    SurfaceMesh,
+    face_areas,
+    sample_faces,
+    sum_by_index,
+)
 
 CELL_M = 0.0025
 REACH_M = 0.03
@@ -47,7 +55,7 @@ class SurfaceLookup:
         """Sample nearest to each of (n, 3) finite points (m), (n,); -1 where the surface is out of reach."""
         scaled = (points - self.origin) * (1.0 / CELL_M)
         limit = np.array(self.nearest.shape, dtype=np.float64)
-        inside = ((scaled >= 0.0) & (scaled < limit)).all(axis=1)
+        inside: BoolArray = np.logical_and.reduce((scaled >= 0.0) & (scaled < limit), axis=1)
         cell = np.where(inside[:, None], scaled, 0.0).astype(np.int64)
         flat = (cell[:, 0] * self.nearest.shape[1] + cell[:, 1]) * self.nearest.shape[2] + cell[:, 2]
         return np.where(inside, self.nearest.ravel()[flat], -1).astype(np.int64)
@@ -69,7 +77,9 @@ def build_surface_lookup(mesh: SurfaceMesh) -> SurfaceLookup:
     """
     area = float(face_areas(mesh).sum())
     if not area > 0.0:
-        raise MeshError(f"surface: expected triangles with an area, got {len(mesh.faces)} faces of {area} m^2")
+        raise MeshError(
+            f"surface: expected triangles with an area, got {len(mesh.faces)} faces of {area} m^2"
+        )
     used = mesh.vertices[np.unique(mesh.faces)]
     origin = used.min(axis=0) - REACH_M
     shape = np.ceil((used.max(axis=0) + REACH_M - origin) / CELL_M).astype(np.int64) + 1
@@ -85,7 +95,9 @@ def build_surface_lookup(mesh: SurfaceMesh) -> SurfaceLookup:
     patch_cell = np.floor((position - origin) / (PATCH_CELLS * CELL_M)).astype(np.int64)
     _, patch = np.unique(patch_cell, axis=0, return_inverse=True)
     patch = patch.reshape(-1).astype(np.int64)
-    return SurfaceLookup(origin, nearest, position, patch, np.bincount(patch, weights=sample_area))
+    return SurfaceLookup(
+        origin, nearest, position, patch, sum_by_index(patch, sample_area, int(patch.max()) + 1)
+    )
 
 
 def _samples_by_cell(
@@ -98,5 +110,5 @@ def _samples_by_cell(
     flat = (index[:, 0] * shape[1] + index[:, 1]) * shape[2] + index[:, 2]
     cell, member = np.unique(flat, return_inverse=True)
     count = np.bincount(member)
-    position = np.column_stack([np.bincount(member, weights=points[:, d]) / count for d in range(3)])
-    return cell, position, np.bincount(member, weights=share)
+    position = np.column_stack([sum_by_index(member, points[:, d], len(cell)) / count for d in range(3)])
+    return cell, position, sum_by_index(member, share, len(cell))

@@ -1,0 +1,101 @@
+"""Keep the results of slow preprocessing in the user's cache folder.
+
+A result is found again by what it is, the content of the organ it belongs to, the version of the algorithm
+and its parameters. Whatever is wrong with the cache, the result is computed instead.
+"""
+
+import hashlib
+import json
+import logging
+import os
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Arrays = dict[str, NDArray[Any]]
+
+_log = logging.getLogger(__name__)
+_KEEP_FILES = 64
+_KEY = "cache_key"
+
+
+def cache_folder() -> Path:
+    """Where results are kept: `$XDG_CACHE_HOME/softtissue_estimator`, by default under `~/.cache`."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(base) if os.path.isabs(base) else Path("~/.cache").expanduser()) / "softtissue_estimator"
+
+
+def cached_arrays(
+    what: str,
+    digest: str,
+    version: int,
+    parameters: Mapping[str, float | int | str | bool],
+    compute: Callable[[], Arrays],
+) -> Arrays:
+    """Return stored arrays, or compute and store them.
+
+    Parameters
+    ----------
+    what : str
+        Name of the result; letters, digits and underscores.
+    digest : str
+        Hash of the data it is computed from.
+    version : int
+        Raised whenever the algorithm changes.
+    parameters : mapping
+        Everything else that the result depends on.
+    compute : callable
+        Makes the arrays if they are not stored or cannot be read.
+    """
+    key = json.dumps([what, digest, version, dict(parameters)], sort_keys=True)
+    path = cache_folder() / f"{what}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.npz"
+    stored = _read(path, key)
+    if stored is not None:
+        return stored
+    arrays = compute()
+    _write(path, key, arrays)
+    return arrays
+
+
+def _read(path: Path, key: str) -> Arrays | None:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if str(file[_KEY]) != key:
+                return None
+            return {name: file[name] for name in file.files if name != _KEY}
+    except FileNotFoundError:
+        return None
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        _log.warning("cached file %s cannot be read (%s) and is computed again", path, error)
+        return None
+
+
+def _write(path: Path, key: str, arrays: Arrays) -> None:
+    temporary = ""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # Written beside its place and renamed, so that nobody ever reads half a file.
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".part")
+        with os.fdopen(handle, "wb") as file:
+            np.savez(file, allow_pickle=False, **{_KEY: np.array(key)}, **arrays)
+        os.replace(temporary, path)
+        _prune(path.parent)
+    except OSError as error:
+        if temporary:
+            Path(temporary).unlink(missing_ok=True)
+        _log.warning(
+            "results cannot be kept in %s (%s); they are computed again next time", path.parent, error
+        )
+
+
+def _prune(folder: Path) -> None:
+    """Forget the oldest files, so that the folder does not grow without end."""
+    files = sorted(folder.glob("*.npz"), key=lambda file: file.stat().st_mtime)
+    for old in files[:-_KEEP_FILES]:
+        old.unlink(missing_ok=True)
