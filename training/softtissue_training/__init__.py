@@ -1,0 +1,1 @@
+"""Simulation of soft-tissue deformation and training of the estimator's network."""

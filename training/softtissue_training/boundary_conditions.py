@@ -1,0 +1,112 @@
+"""Random surface patches: where an organ is attached, pushed and seen (paper, section "Training data")."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
+from softtissue_estimator.mesh import SurfaceMesh, face_areas, vertex_areas
+
+from softtissue_training.errors import RejectedSampleError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+ATTACHED_RADIUS_M = (0.025, 0.055)
+LOADED_RADIUS_M = (0.015, 0.025)
+FORCE_N = (0.0, 1.0)
+_MINIMUM_PATCH_VERTICES = 4
+
+
+@dataclass(frozen=True)
+class BoundaryConditions:
+    """What holds an organ and what pushes it.
+
+    Attributes
+    ----------
+    attached
+        (n,) true for the surface vertices that do not move.
+    force
+        (n, 3) newtons on each surface vertex.
+    """
+
+    attached: BoolArray
+    force: FloatArray
+
+
+def random_boundary_conditions(surface: SurfaceMesh, rng: np.random.Generator) -> BoundaryConditions:
+    """Attach one random patch and push another in a random direction, with 0 to 1 N spread evenly over its area.
+
+    Raises
+    ------
+    RejectedSampleError
+        A patch has too few vertices, or the loaded patch is wholly attached.
+    """
+    attached = random_patch(surface, rng.uniform(*ATTACHED_RADIUS_M), rng)
+    loaded = random_patch(surface, rng.uniform(*LOADED_RADIUS_M), rng)
+    magnitude = rng.uniform(*FORCE_N)
+    direction = rng.normal(size=3)
+    direction /= np.linalg.norm(direction)
+    if attached.sum() < _MINIMUM_PATCH_VERTICES:
+        raise RejectedSampleError("patch too small", f"attached patch has {attached.sum()} vertices")
+    if (loaded & ~attached).sum() < _MINIMUM_PATCH_VERTICES:
+        raise RejectedSampleError("load on attachment", "the loaded patch lies within the attached one")
+    weights = vertex_areas(surface) * loaded
+    return BoundaryConditions(attached, (weights / weights.sum())[:, None] * magnitude * direction)
+
+
+def random_patch(surface: SurfaceMesh, radius_m: float, rng: np.random.Generator) -> BoolArray:
+    """Return the vertices within a distance along the surface of a random point of it, (n,).
+
+    Centres are uniform in area, so that finely meshed regions are not favoured.
+    """
+    centre = random_vertex(surface, rng)
+    return surface_distance(surface, centre, limit_m=radius_m) <= radius_m
+
+
+def random_vertex(surface: SurfaceMesh, rng: np.random.Generator) -> int:
+    """Draw a vertex with a probability in proportion to the area around it."""
+    areas = vertex_areas(surface)
+    return int(rng.choice(len(areas), p=areas / areas.sum()))
+
+
+def surface_distance(surface: SurfaceMesh, vertex: int, limit_m: float = np.inf) -> FloatArray:
+    """Return the length of the shortest path along edges from a vertex to every other, (n,) metres.
+
+    Vertices further than `limit_m` get infinity.
+    """
+    result: FloatArray = dijkstra(edge_graph(surface), directed=False, indices=vertex, limit=limit_m)
+    return result
+
+
+def edge_graph(surface: SurfaceMesh) -> sparse.csr_matrix:
+    """Return the (n, n) graph of edges weighted by length in metres."""
+    ends = np.concatenate([surface.faces[:, [0, 1]], surface.faces[:, [1, 2]], surface.faces[:, [2, 0]]])
+    ends = np.unique(np.sort(ends, axis=1), axis=0)
+    lengths = np.linalg.norm(surface.vertices[ends[:, 0]] - surface.vertices[ends[:, 1]], axis=1)
+    count = len(surface.vertices)
+    return sparse.csr_matrix((lengths, (ends[:, 0], ends[:, 1])), shape=(count, count))
+
+
+def random_visible_patch(
+    surface: SurfaceMesh, rng: np.random.Generator, share: tuple[float, float] = (0.08, 1.0)
+) -> BoolArray:
+    """Return the faces of a patch grown from a random vertex until it covers a random share of the area, (m,).
+
+    Parameters
+    ----------
+    share
+        Lowest and highest share of the surface's area.
+    """
+    wanted = rng.uniform(*share)
+    from_seed = surface_distance(surface, random_vertex(surface, rng))
+    reached_at = from_seed[surface.faces].mean(axis=1)
+    order = np.argsort(reached_at)
+    areas = face_areas(surface)[order]
+    covered = np.cumsum(areas) / areas.sum()
+    visible = np.zeros(len(surface.faces), dtype=bool)
+    visible[order[: int(np.searchsorted(covered, wanted)) + 1]] = True
+    return visible
