@@ -1,7 +1,8 @@
 # The commands of this repository; `make help` lists them.
 
 PYTHON ?= python3.11
-# Arguments for pytest and for the demo: make test PYTEST_ARGS="-k organ", make demo DEMO_ARGS="--help".
+# For example: make test TESTS=tests/estimator PYTEST_ARGS="-k organ -x"; make demo DEMO_ARGS=--help.
+TESTS ?= tests
 PYTEST_ARGS ?=
 DEMO_ARGS ?=
 
@@ -34,7 +35,7 @@ demo: $(BUILD_STAMP) ## the main job on the bundled phantom: table, out/demo/rep
 
 test: $(BUILD_STAMP) ## all tests, in the built workspace
 	@echo "==> Running the tests"
-	@scripts/run python -m pytest -ra $(PYTEST_ARGS) tests
+	@scripts/run python -m pytest -ra $(PYTEST_ARGS) $(TESTS)
 
 lint: $(VENV_STAMP) ## ruff (rules and format) and mypy --strict; needs no built workspace
 	@echo "==> ruff and mypy"

@@ -1,0 +1,142 @@
+"""The messages as built: they survive serialisation, and their hot fields are flat arrays."""
+
+import array
+import math
+
+import pytest
+
+rclpy_serialization = pytest.importorskip(
+    "rclpy.serialization", reason="ROS 2 is not there; run the tests through `make test`"
+)
+softtissue_msg = pytest.importorskip(
+    "softtissue_msgs.msg", reason="the workspace is not built or not sourced"
+)
+
+from builtin_interfaces.msg import Time  # noqa: E402
+from softtissue_msgs.msg import Correspondences, EstimatorStatus  # noqa: E402
+from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints  # noqa: E402
+from std_msgs.msg import Header  # noqa: E402
+
+HEADER = Header(stamp=Time(sec=1_700_000_123, nanosec=987_654_321), frame_id="organ")
+
+# Every field has a value that is neither its default nor that of a neighbour of the same type; floats are exact in
+# single precision.
+MESSAGES = {
+    "Correspondences": Correspondences(
+        header=HEADER,
+        index=[0, 7, 4_000_000_000],
+        reference=[0.125 * i for i in range(9)],
+        sigma=[0.5, 0.25, 2.0],
+    ),
+    "EstimatorStatus": EstimatorStatus(
+        header=HEADER,
+        level=EstimatorStatus.DEGRADED,
+        reason="the cloud shows 3 % of the surface, expected at least 5 %",
+        estimator="elastic",
+        device="cuda:0",
+        organ="Phantom liver – Größe 2",
+        visible_fraction=0.03125,
+        points_used=40_000,
+        points_rejected=17,
+        frames_received=2**40 + 1,
+        frames_answered=2**40 - 2,
+        frames_dropped=2,
+        frames_refused=3,
+        stage_names=["parse", "estimate"],
+        stage_seconds=[0.0625, 0.5],
+        total_seconds=0.75,
+    ),
+    "LoadOrgan.Request": LoadOrgan.Request(folder="/data/liver"),
+    "LoadOrgan.Response": LoadOrgan.Response(
+        result=LoadOrgan.Response.INVALID_ORGAN,
+        message="no organ.yaml",
+        name="liver",
+        structures=3,
+        vertices=20_000,
+    ),
+    "WarpPoints.Request": WarpPoints.Request(header=HEADER, points=[0.1, -0.2, 0.3]),
+    "WarpPoints.Response": WarpPoints.Response(
+        result=WarpPoints.Response.NOT_ACTIVE,
+        message="the node is inactive",
+        header=HEADER,
+        points=[0.11, -0.22, 0.33],
+        displacement=[0.01, -0.02, 0.03],
+        sigma=[0.004],
+    ),
+    "Reset.Request": Reset.Request(),
+    "Reset.Response": Reset.Response(
+        result=Reset.Response.NOT_CONFIGURED, message="the node is unconfigured"
+    ),
+}
+
+
+def roundtrip(message):
+    return rclpy_serialization.deserialize_message(
+        rclpy_serialization.serialize_message(message), type(message)
+    )
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_message_survives_serialisation(name):
+    assert roundtrip(MESSAGES[name]) == MESSAGES[name]
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_every_field_is_exercised(name):
+    message, empty = MESSAGES[name], type(MESSAGES[name])()
+    fields = [
+        field
+        for field in message.get_fields_and_field_types()
+        if field != "structure_needs_at_least_one_member"
+    ]
+    assert [field for field in fields if getattr(message, field) == getattr(empty, field)] == []
+
+
+@pytest.mark.parametrize(
+    ("message", "field", "typecode"),
+    [
+        (Correspondences, "index", "I"),
+        (Correspondences, "reference", "f"),
+        (Correspondences, "sigma", "f"),
+        (EstimatorStatus, "stage_seconds", "f"),
+        (WarpPoints.Request, "points", "d"),
+        (WarpPoints.Response, "points", "d"),
+        (WarpPoints.Response, "displacement", "d"),
+        (WarpPoints.Response, "sigma", "d"),
+    ],
+)
+def test_hot_field_is_one_flat_array(message, field, typecode):
+    value = getattr(message(), field)
+    assert isinstance(value, array.array)
+    assert value.typecode == typecode
+
+
+def test_nan_stands_for_no_answer():
+    response = roundtrip(WarpPoints.Response(sigma=[0.5, math.nan], points=[math.nan]))
+    assert response.sigma[0] == 0.5
+    assert math.isnan(response.sigma[1])
+    assert math.isnan(response.points[0])
+
+
+@pytest.mark.parametrize(
+    ("message", "constants"),
+    [
+        (EstimatorStatus, {"OK": 0, "DEGRADED": 1, "INVALID": 2}),
+        (LoadOrgan.Response, {"SUCCESS": 0, "INVALID_ORGAN": 1, "NOT_CONFIGURED": 2}),
+        (
+            WarpPoints.Response,
+            {"SUCCESS": 0, "NO_ESTIMATE": 1, "INVALID_POINTS": 2, "WRONG_FRAME": 3, "NOT_ACTIVE": 4},
+        ),
+        (Reset.Response, {"SUCCESS": 0, "NOT_CONFIGURED": 1}),
+    ],
+)
+def test_constants_keep_their_values(message, constants):
+    # Recorded bags hold the numbers, so the numbers may not move.
+    assert {name: getattr(message, name) for name in constants} == constants
+
+
+def test_both_packages_are_in_the_ament_index():
+    from ament_index_python.packages import get_package_prefix
+
+    for package in ("softtissue_msgs", "softtissue_estimator"):
+        assert (f"/install/{package}") in get_package_prefix(package)
