@@ -23,7 +23,9 @@ def choose_device(name: str) -> torch.device:
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if name == "cuda" and not torch.cuda.is_available():
-        raise InvalidInputError("parameter device: expected a CUDA device for 'cuda', got none on this machine")
+        raise InvalidInputError(
+            "parameter device: expected a CUDA device for 'cuda', got none on this machine"
+        )
     if name not in ("cuda", "cpu"):
         raise InvalidInputError(f"parameter device: expected 'auto', 'cuda' or 'cpu', got {name!r}")
     return torch.device(name)

@@ -74,7 +74,7 @@ def _masked_corners(
         weights[:, number] = share * in_grid * mask.reshape(-1)[flat]
     total = weights.sum(axis=1)
     # A sliver of one inside cell would let rounding decide; below a thousandth the nearest cell is as good.
-    lost = total < 1e-3
+    lost = np.asarray(total < 1e-3)
     weights[~lost] /= total[~lost, None]
     if lost.any():
         inside = np.argwhere(mask)

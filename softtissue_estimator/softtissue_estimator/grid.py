@@ -37,7 +37,9 @@ class VoxelGrid:
         if len(self.shape) != 3 or min(self.shape) < 1:
             raise InvalidInputError(f"grid shape must be three positive cell counts, got {self.shape}")
         if len(self.origin) != 3 or not all(math.isfinite(c) for c in self.origin):
-            raise InvalidInputError(f"grid origin must be three finite coordinates in metres, got {self.origin}")
+            raise InvalidInputError(
+                f"grid origin must be three finite coordinates in metres, got {self.origin}"
+            )
 
     @classmethod
     def cube(cls, centre: FloatArray, side_m: float = 0.30, cells: int = 64) -> VoxelGrid:
@@ -77,11 +79,15 @@ class VoxelGrid:
         """
         low, high = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
         if low.shape != (3,) or high.shape != (3,) or not np.all(high >= low):
-            raise InvalidInputError(f"box corners must be two points with lower <= upper, got {low} and {high}")
+            raise InvalidInputError(
+                f"box corners must be two points with lower <= upper, got {low} and {high}"
+            )
         needed = np.ceil((high - low) / spacing).astype(int) + 1 + 2 * margin_cells
         cells = (np.ceil(needed / multiple).astype(int) * multiple).tolist()
         first = 0.5 * (low + high) - 0.5 * spacing * (np.array(cells) - 1)
-        return cls((float(first[0]), float(first[1]), float(first[2])), spacing, (cells[0], cells[1], cells[2]))
+        return cls(
+            (float(first[0]), float(first[1]), float(first[2])), spacing, (cells[0], cells[1], cells[2])
+        )
 
     @property
     def cells(self) -> int:

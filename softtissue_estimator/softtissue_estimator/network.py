@@ -164,7 +164,7 @@ def initialise(
     """
     heads = set(network.heads)
     reached: dict[str, float] = {}
-    for name, module in network.named_modules():
+    for module in network.modules():
         if isinstance(module, nn.Conv3d):
             fan_in = module.weight[0].numel()
             module.weight.normal_(0.0, fan_in**-0.5, generator=generator)

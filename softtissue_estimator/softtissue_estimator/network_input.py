@@ -29,6 +29,7 @@ CHANNELS = (
     "visible_displacement_z",
     "zero_displacement",
 )
+PREPROCESSING_VERSION = 1  # raise it whenever the channels of an organ change: caches depend on it
 PAPER_SCALES = (0.1, 1.0, 1.0, 1.0, 0.1)
 COMMON_FACTOR = 50.0  # one network unit is then 20 mm, near the displacements that are to be told apart
 
@@ -128,9 +129,9 @@ def organ_channels(surface: SurfaceMesh, attached: NDArray[np.bool_], spec: Netw
 def zero_displacement(grid: VoxelGrid, surface: SurfaceMesh, attached: NDArray[np.bool_]) -> Tensor:
     """Return z(p): (X, Y, Z) float32, 1 in cells near attached surface, else 0."""
     # Sampled at half a cell so that the flag is closed however coarse the triangles are.
-    inner_faces = np.asarray(attached)[surface.faces].all(axis=1)
+    inner_faces = np.all(attached[surface.faces], axis=1)
     samples = sample_faces(surface, inner_faces, 0.5 * grid.spacing)[0]
-    points = torch.from_numpy(np.concatenate([surface.vertices[np.asarray(attached)], samples])).double()
+    points = torch.from_numpy(np.concatenate([surface.vertices[attached], samples])).double()
     return rasterise(grid, points, torch.ones(len(points), 1))[1].float()
 
 

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from softtissue_estimator.cache import Arrays, cached_arrays
 from softtissue_estimator.checkpoint import load_checkpoint
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.device import choose_device
@@ -17,11 +18,13 @@ from softtissue_estimator.displacement_field import FieldSampler
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimator import Estimate, Estimator, Progress, silent
 from softtissue_estimator.network_input import (
+    PREPROCESSING_VERSION,
     NetworkSpec,
     OrganChannels,
     assemble_input,
     from_batch,
     organ_channels,
+    organ_grid,
     visible_displacement,
 )
 from softtissue_estimator.observation import Observation
@@ -73,8 +76,10 @@ class PaperEstimator(Estimator):
 
     def load_organ(self, organ: Organ, progress: Progress = silent) -> None:
         """Compute the organ's grid, signed distance and attached region, and where its structures lie in it."""
-        progress(f"signed distance of {organ.name} on a {1e3 * self._spec.spacing:.2f} mm grid")
-        channels = organ_channels(organ.surface, organ.attached, self._spec)
+        progress(
+            f"{organ.name}: signed distance and attached region on a {1e3 * self._spec.spacing:.2f} mm grid"
+        )
+        channels = _cached_channels(organ, self._spec)
         sampler = FieldSampler(channels.grid, channels.organ_mask, organ.query_points, self._device)
         self._channels, self._sampler = channels.to(self._device), sampler
 
@@ -105,6 +110,23 @@ class PaperEstimator(Estimator):
             raise InvalidInputError("no organ is loaded")
         field = from_batch(self._network(inputs)).float() * self._spec.output_scale
         return field * channels.organ_mask.unsqueeze(-1)
+
+
+def _cached_channels(organ: Organ, spec: NetworkSpec) -> OrganChannels:
+    grid = organ_grid(organ.surface, spec)
+
+    def compute() -> Arrays:
+        channels = organ_channels(organ.surface, organ.attached, spec)
+        return {
+            "signed_distance": channels.signed_distance.numpy(),
+            "zero_displacement": channels.zero_displacement.numpy(),
+        }
+
+    parameters = {"spacing": grid.spacing, "shape": str(grid.shape), "origin": str(grid.origin)}
+    stored = cached_arrays("channels", organ.digest, PREPROCESSING_VERSION, parameters, compute)
+    return OrganChannels(
+        grid, torch.from_numpy(stored["signed_distance"]), torch.from_numpy(stored["zero_displacement"])
+    )
 
 
 class _Clock:

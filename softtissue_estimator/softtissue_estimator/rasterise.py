@@ -58,7 +58,9 @@ def _numerator_and_denominator(values: Tensor, weights: Tensor | None) -> Tensor
     if weights is None:
         return torch.cat([values, torch.ones_like(values[:, :1])], dim=1)
     # Only ratios of weights matter: dividing by the largest keeps inverse variances (1e6 m^-2) in float32's range.
-    relative = (weights / weights.max().clamp_min(torch.finfo(values.dtype).tiny)).to(values.dtype).unsqueeze(1)
+    relative = (
+        (weights / weights.max().clamp_min(torch.finfo(values.dtype).tiny)).to(values.dtype).unsqueeze(1)
+    )
     return torch.cat([values * relative, relative], dim=1)
 
 
@@ -102,4 +104,6 @@ def _check(points: Tensor, values: Tensor, weights: Tensor | None) -> None:
             f"values must have the shape ({points.shape[0]}, c), one row a point, got {tuple(values.shape)}"
         )
     if weights is not None and weights.shape != (points.shape[0],):
-        raise InvalidInputError(f"weights must have the shape ({points.shape[0]},), got {tuple(weights.shape)}")
+        raise InvalidInputError(
+            f"weights must have the shape ({points.shape[0]},), got {tuple(weights.shape)}"
+        )

@@ -35,6 +35,8 @@ def signed_distance(mesh: SurfaceMesh, points: FloatArray) -> FloatArray:
         raise InvalidInputError(f"points must have the shape (n, 3), got {query.shape}")
     # Distance and sign apart: igl.signed_distance with this sign type multiplies the distance by 1 - 2 w, so that an
     # inexact winding number w would make it wrong by up to a per cent.
-    distance = igl.signed_distance(query, mesh.vertices, mesh.faces, sign_type=igl.SIGNED_DISTANCE_TYPE_UNSIGNED)[0]
+    distance = igl.signed_distance(
+        query, mesh.vertices, mesh.faces, sign_type=igl.SIGNED_DISTANCE_TYPE_UNSIGNED
+    )[0]
     winding = igl.fast_winding_number(mesh.vertices, mesh.faces, query)
     return np.where(np.asarray(winding) > 0.5, -1.0, 1.0) * np.asarray(distance, dtype=np.float64)

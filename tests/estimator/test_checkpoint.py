@@ -28,7 +28,9 @@ def _rewrite(path: Path, **changes: str) -> None:
     metadata = {
         "format": "softtissue-checkpoint",
         "version": "1",
-        "spec": json.dumps({"architecture": {"widths": [4, 4, 4, 8]}, "channels": ["a"] * 5, "input_scales": [1] * 5}),
+        "spec": json.dumps(
+            {"architecture": {"widths": [4, 4, 4, 8]}, "channels": ["a"] * 5, "input_scales": [1] * 5}
+        ),
         "provenance": "{}",
     }
     save_file(tensors, path, metadata=metadata | changes)

@@ -36,7 +36,11 @@ def test_covering_box_has_margin_multiple_and_is_centred() -> None:
 
 @pytest.mark.parametrize(
     ("origin", "spacing", "shape"),
-    [((0.0, 0.0, 0.0), 0.0, (8, 8, 8)), ((0.0, 0.0, 0.0), 0.01, (8, 0, 8)), ((float("nan"), 0.0, 0.0), 0.01, (8, 8, 8))],
+    [
+        ((0.0, 0.0, 0.0), 0.0, (8, 8, 8)),
+        ((0.0, 0.0, 0.0), 0.01, (8, 0, 8)),
+        ((float("nan"), 0.0, 0.0), 0.01, (8, 8, 8)),
+    ],
 )
 def test_impossible_grids_are_refused(
     origin: tuple[float, float, float], spacing: float, shape: tuple[int, int, int]

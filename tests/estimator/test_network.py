@@ -67,6 +67,8 @@ def test_initialisation_keeps_the_signal_alive() -> None:
     hidden = [std for name, std in reached.items() if not name.startswith("heads")]
     assert len(hidden) == 2 * 3 + 5 + 2 * 3
     assert all(std == pytest.approx(1.0, rel=1e-3) for std in hidden)
-    assert all(std == pytest.approx(0.1, rel=1e-3) for name, std in reached.items() if name.startswith("heads"))
+    assert all(
+        std == pytest.approx(0.1, rel=1e-3) for name, std in reached.items() if name.startswith("heads")
+    )
     # What is guarded against: with the default the output hardly depends on the input at all.
     assert _effect_of_the_input(network, example) > 10 * default_effect

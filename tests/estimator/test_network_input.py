@@ -83,7 +83,9 @@ def test_flipping_the_organ_flips_the_input() -> None:
 
     def inputs(mesh: SurfaceMesh, reference: np.ndarray, displacement: np.ndarray) -> torch.Tensor:
         channels = organ_channels(mesh, attached, SPEC)
-        visible = visible_displacement(channels.grid, torch.from_numpy(reference), torch.from_numpy(displacement))
+        visible = visible_displacement(
+            channels.grid, torch.from_numpy(reference), torch.from_numpy(displacement)
+        )
         return assemble_input(channels, visible, SPEC)
 
     plain = inputs(surface, seen, moved)
