@@ -68,7 +68,7 @@ def _masked_corners(
     for number, corner in enumerate(itertools.product((0, 1), repeat=3)):
         cell = base + corner
         share = np.where(np.array(corner, dtype=bool), fraction, 1.0 - fraction).prod(axis=1)
-        in_grid = ((cell >= 0) & (cell < shape)).all(axis=1)
+        in_grid = np.all((cell >= 0) & (cell < shape), axis=1)
         flat = np.ravel_multi_index(tuple(np.where(in_grid[:, None], cell, 0).T), grid.shape)
         cells[:, number] = flat
         weights[:, number] = share * in_grid * mask.reshape(-1)[flat]

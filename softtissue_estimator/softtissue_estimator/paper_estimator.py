@@ -122,7 +122,11 @@ def _cached_channels(organ: Organ, spec: NetworkSpec) -> OrganChannels:
             "zero_displacement": channels.zero_displacement.numpy(),
         }
 
-    parameters = {"spacing": grid.spacing, "shape": str(grid.shape), "origin": str(grid.origin)}
+    parameters: dict[str, float | int | str | bool] = {
+        "spacing": grid.spacing,
+        "shape": str(grid.shape),
+        "origin": str(grid.origin),
+    }
     stored = cached_arrays("channels", organ.digest, PREPROCESSING_VERSION, parameters, compute)
     return OrganChannels(
         grid, torch.from_numpy(stored["signed_distance"]), torch.from_numpy(stored["zero_displacement"])
