@@ -1,15 +1,30 @@
 """An organ as scanned: its surface, what lies inside it and where it is attached."""
 
+import hashlib
+import logging
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import igl
 import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import OrganError
-from softtissue_estimator.mesh import BoolArray, FloatArray, SurfaceMesh
+from softtissue_estimator.mesh import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    SurfaceMesh,
+    enclosed_volume,
+)
+from softtissue_estimator.mesh_io import StoredMesh, clean_organ_surface, read_mesh
+from softtissue_estimator.organ_file import UNITS_M, OrganFile, read_organ_file
 from softtissue_estimator.surface_lookup import SurfaceLookup, build_surface_lookup
+
+_log = logging.getLogger(__name__)
+_SMALLEST_LITRES, _LARGEST_LITRES = 0.01, 20.0
+_STRUCTURE_MARGIN = 0.1  # of the diagonal of the organ's bounding box
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,3 +98,118 @@ class Organ:
     def surface_lookup(self) -> SurfaceLookup:
         """Table for finding the nearest surface of many points at once; built when first asked for."""
         return build_surface_lookup(self.surface)
+
+
+def make_organ(
+    name: str,
+    frame: str,
+    surface: SurfaceMesh,
+    structures: tuple[Structure, ...],
+    attached: BoolArray,
+    folder: Path | None = None,
+) -> Organ:
+    """Make an organ and hash its content."""
+    content = hashlib.sha256()
+    flags = np.ascontiguousarray(attached, dtype=np.bool_)
+    for array in (surface.vertices, surface.faces, flags):
+        content.update(f"{array.shape}{array.dtype.str}".encode() + array.tobytes())
+    for structure in structures:
+        content.update(f"{structure.name}\0{structure.kind}\0{structure.colour}".encode())
+        for array in (structure.mesh.vertices, structure.mesh.faces):
+            content.update(f"{array.shape}".encode() + array.tobytes())
+    return Organ(name, frame, surface, structures, flags, folder, content.hexdigest())
+
+
+def load_organ(folder: Path) -> Organ:
+    """Read an organ folder; `docs/architecture.md` describes `organ.yaml`.
+
+    Raises
+    ------
+    OrganError
+        If `organ.yaml` or what it describes cannot be meant: a missing file, a unit that gives no organ's size, a
+        structure far from the organ, an attached region without a vertex.
+    MeshError
+        If a mesh cannot be read.
+    """
+    folder = Path(folder)
+    file = read_organ_file(folder)
+    stored = clean_organ_surface(read_mesh(file.surface, file.unit_m), str(file.surface))
+    _check_size(stored.mesh, file)
+    structures = tuple(
+        Structure(entry.name, entry.kind, read_mesh(entry.mesh, file.unit_m).mesh, entry.colour)
+        for entry in file.structures
+    )
+    for structure in structures:
+        _check_place(structure, stored.mesh, file)
+    attached = _attached_vertices(stored, file)
+    return make_organ(file.name, file.frame, stored.mesh, structures, attached, folder)
+
+
+def _check_size(surface: SurfaceMesh, file: OrganFile) -> None:
+    litres = 1e3 * enclosed_volume(surface)
+    if _SMALLEST_LITRES <= litres <= _LARGEST_LITRES:
+        return
+    size = " x ".join(f"{length:.3g}" for length in np.ptp(surface.vertices, axis=0))
+    other, other_m = next((name, m) for name, m in UNITS_M.items() if name != file.unit)
+    in_other = litres * (other_m / file.unit_m) ** 3
+    fits = _SMALLEST_LITRES <= in_other <= _LARGEST_LITRES
+    hint = f"; the unit is probably wrong, in {other} it would be {in_other:.3g} litres" if fits else ""
+    raise OrganError(
+        f"{file.path}: expected an organ of {_SMALLEST_LITRES:g} to {_LARGEST_LITRES:g} litres, got "
+        f"{litres:.3g} litres ({size} m) with unit {file.unit}{hint}"
+    )
+
+
+def _check_place(structure: Structure, surface: SurfaceMesh, file: OrganFile) -> None:
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    margin = _STRUCTURE_MARGIN * float(np.linalg.norm(high - low))
+    points = structure.mesh.vertices
+    inside = ((points >= low - margin) & (points <= high + margin)).all(axis=1)
+    if inside.any():
+        return
+    gap = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=1).min()
+    raise OrganError(
+        f"{file.path}, structure {structure.name!r}: expected it inside the organ, got it "
+        f"{1e3 * gap:.0f} mm away from the organ's bounding box"
+    )
+
+
+def _attached_vertices(stored: StoredMesh, file: OrganFile) -> BoolArray:
+    vertices = stored.mesh.vertices
+    attached = np.zeros(len(vertices), dtype=np.bool_)
+    entry = file.attached
+    if entry is None:
+        _log.warning("%s says nothing about where the organ is attached; it is taken as free", file.path)
+        return attached
+    if entry.vertices:
+        attached[_listed_vertices(stored, entry.vertices, file)] = True
+    for centre, radius in entry.spheres:
+        attached |= np.linalg.norm(vertices - np.array(centre), axis=1) <= radius
+    if entry.touching is not None:
+        mesh, distance = entry.touching
+        touching = read_mesh(mesh, file.unit_m).mesh
+        squared = igl.point_mesh_squared_distance(vertices, touching.vertices, touching.faces)[0]
+        attached |= np.asarray(squared, dtype=np.float64) <= distance**2
+    if not attached.any() or attached.all():
+        got = "all of them" if attached.any() else "none"
+        raise OrganError(
+            f"{file.path}, attached: expected some of the {len(vertices)} surface vertices, got {got}"
+        )
+    return attached
+
+
+def _listed_vertices(stored: StoredMesh, listed: tuple[int, ...], file: OrganFile) -> IntArray:
+    if file.surface.suffix.lower() == ".stl":
+        raise OrganError(
+            f"{file.path}, attached.vertices: expected a surface whose file numbers its vertices, got an STL; "
+            "use spheres, touching, or a PLY, OBJ or VTK surface"
+        )
+    index = np.array(listed, dtype=np.int64)
+    count = len(stored.vertex_of_stored)
+    if index.min() < 0 or index.max() >= count:
+        raise OrganError(
+            f"{file.path}, attached.vertices: expected indices from 0 to {count - 1}, "
+            f"got {index.min()} to {index.max()}"
+        )
+    found = stored.vertex_of_stored[index]
+    return found[found >= 0]

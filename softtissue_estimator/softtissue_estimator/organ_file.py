@@ -1,0 +1,212 @@
+"""Read and check `organ.yaml`; every mistake is one sentence that names the key."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from softtissue_estimator.errors import OrganError
+
+FILE_NAME = "organ.yaml"
+UNITS_M = {"mm": 0.001, "m": 1.0}
+DEFAULT_COLOUR = (0.8, 0.8, 0.8, 1.0)
+
+
+@dataclass(frozen=True)
+class StructureEntry:
+    """One entry of `structures`."""
+
+    name: str
+    kind: str
+    mesh: Path
+    colour: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class AttachedEntry:
+    """The key `attached`; lengths in metres.
+
+    Parameters
+    ----------
+    vertices : tuple of int
+        Indices of surface vertices as the surface's file numbers them.
+    spheres : tuple of (centre, radius)
+        m.
+    touching : (mesh, distance) or None
+        A mesh and how close to it, m, the surface counts as attached.
+    """
+
+    vertices: tuple[int, ...]
+    spheres: tuple[tuple[tuple[float, float, float], float], ...]
+    touching: tuple[Path, float] | None
+
+
+@dataclass(frozen=True)
+class OrganFile:
+    """Content of `organ.yaml`; paths are complete, lengths in metres.
+
+    Parameters
+    ----------
+    unit : str
+        'mm' or 'm', of the meshes.
+    attached : AttachedEntry or None
+        None if the file says nothing about it.
+    """
+
+    path: Path
+    name: str
+    frame: str
+    unit: str
+    surface: Path
+    structures: tuple[StructureEntry, ...]
+    attached: AttachedEntry | None
+
+    @property
+    def unit_m(self) -> float:
+        """Length of the unit, m."""
+        return UNITS_M[self.unit]
+
+
+def read_organ_file(folder: Path) -> OrganFile:
+    """Read `organ.yaml` in a folder.
+
+    Raises
+    ------
+    OrganError
+        If it is missing, is not YAML, or says something that cannot be meant.
+    """
+    path = folder / FILE_NAME
+    if not path.is_file():
+        raise OrganError(f"organ {folder}: expected a folder with {FILE_NAME}, found none")
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise OrganError(f"{path}: expected YAML, got {' '.join(str(error).split())}") from error
+    top = _Entry(path, "", content, {"name", "frame", "unit", "surface", "structures", "attached"})
+    unit = top.text("unit", required_hint="mm or m")
+    if unit not in UNITS_M:
+        raise OrganError(f"{path}, unit: expected mm or m, got {unit!r}")
+    return OrganFile(
+        path=path,
+        name=top.text("name", default=folder.resolve().name),
+        frame=top.text("frame", default="organ"),
+        unit=unit,
+        surface=top.file("surface"),
+        structures=tuple(_structure(path, i, item) for i, item in enumerate(top.items("structures"))),
+        attached=_attached(path, top.value("attached"), UNITS_M[unit]),
+    )
+
+
+def _structure(path: Path, index: int, content: Any) -> StructureEntry:
+    entry = _Entry(path, f"structures[{index}]", content, {"name", "kind", "mesh", "colour"})
+    colour = DEFAULT_COLOUR
+    given = entry.value("colour")
+    if given is not None:
+        channels = entry.numbers("colour", given, (3, 4))
+        if not all(0.0 <= c <= 1.0 for c in channels):
+            raise OrganError(f"{entry.where('colour')}: expected numbers from 0 to 1, got {given}")
+        colour = (channels[0], channels[1], channels[2], channels[3] if len(channels) == 4 else 1.0)
+    return StructureEntry(entry.text("name"), entry.text("kind", default="other"), entry.file("mesh"), colour)
+
+
+def _attached(path: Path, content: Any, unit_m: float) -> AttachedEntry | None:
+    if content is None:
+        return None
+    entry = _Entry(path, "attached", content, {"vertices", "spheres", "touching"})
+    spheres = []
+    for i, item in enumerate(entry.items("spheres")):
+        sphere = _Entry(path, f"attached.spheres[{i}]", item, {"centre", "radius"})
+        x, y, z = sphere.numbers("centre", sphere.value("centre"), (3,))
+        radius = sphere.positive("radius")
+        spheres.append(((x * unit_m, y * unit_m, z * unit_m), radius * unit_m))
+    touching = None
+    if entry.value("touching") is not None:
+        touch = _Entry(path, "attached.touching", entry.value("touching"), {"mesh", "distance"})
+        touching = (touch.file("mesh"), touch.positive("distance") * unit_m)
+    return AttachedEntry(_vertex_indices(entry), tuple(spheres), touching)
+
+
+def _vertex_indices(entry: "_Entry") -> tuple[int, ...]:
+    given = entry.value("vertices")
+    if given is None:
+        return ()
+    where = entry.where("vertices")
+    tokens: list[Any]
+    if isinstance(given, str):
+        file = entry.file("vertices")
+        try:
+            tokens = file.read_text(encoding="utf-8").split()
+        except (OSError, UnicodeDecodeError) as error:
+            raise OrganError(f"{where}: expected a text file of indices, got {file} ({error})") from error
+    elif isinstance(given, list):
+        tokens = given
+    else:
+        raise OrganError(f"{where}: expected a file name or a list of indices, got {given!r}")
+    try:
+        return tuple(int(str(token)) for token in tokens)
+    except ValueError as error:
+        raise OrganError(f"{where}: expected whole numbers, one a line, got {error}") from error
+
+
+class _Entry:
+    """One mapping of the file, with sentences for what may be wrong in it."""
+
+    def __init__(self, path: Path, key: str, content: Any, known: set[str]) -> None:
+        self._path, self._key = path, key
+        if not isinstance(content, Mapping):
+            what = f"{path}, {key}" if key else str(path)
+            raise OrganError(f"{what}: expected keys {', '.join(sorted(known))}, got {content!r}")
+        self._content: Mapping[Any, Any] = content
+        unknown = [str(k) for k in content if k not in known]
+        if unknown:
+            raise OrganError(
+                f"{self.where(unknown[0])}: unknown key, expected one of {', '.join(sorted(known))}"
+            )
+
+    def where(self, key: str) -> str:
+        return f"{self._path}, {self._key}.{key}" if self._key else f"{self._path}, {key}"
+
+    def value(self, key: str) -> Any:
+        return self._content.get(key)
+
+    def text(self, key: str, default: str | None = None, required_hint: str = "text") -> str:
+        value = self.value(key)
+        if value is None and default is not None:
+            return default
+        if not isinstance(value, str) or not value.strip():
+            raise OrganError(
+                f"{self.where(key)}: expected {required_hint}, got {'nothing' if value is None else value!r}"
+            )
+        return value.strip()
+
+    def file(self, key: str) -> Path:
+        file = self._path.parent / Path(self.text(key, required_hint="a file name")).expanduser()
+        if not file.is_file():
+            raise OrganError(f"{self.where(key)}: expected a file, found none at {file}")
+        return file
+
+    def items(self, key: str) -> list[Any]:
+        value = self.value(key)
+        if value is None:
+            return []
+        if not isinstance(value, list):
+            raise OrganError(f"{self.where(key)}: expected a list, got {value!r}")
+        return value
+
+    def numbers(self, key: str, value: Any, counts: tuple[int, ...]) -> list[float]:
+        plain = isinstance(value, list) and all(
+            isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in value
+        )
+        if not plain or len(value) not in counts:
+            wanted = " or ".join(str(c) for c in counts)
+            raise OrganError(f"{self.where(key)}: expected {wanted} numbers, got {value!r}")
+        return [float(v) for v in value]
+
+    def positive(self, key: str) -> float:
+        (number,) = self.numbers(key, [self.value(key)], (1,))
+        if not number > 0.0:
+            raise OrganError(f"{self.where(key)}: expected a positive number, got {number}")
+        return number
