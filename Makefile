@@ -39,9 +39,11 @@ test: $(BUILD_STAMP) ## all tests, in the built workspace
 
 lint: $(VENV_STAMP) ## ruff (rules and format) and mypy --strict; needs no built workspace
 	@echo "==> ruff and mypy"
-	@.venv/bin/ruff check .
-	@.venv/bin/ruff format --check .
-	@.venv/bin/mypy
+	@failed=0; \
+	.venv/bin/ruff check . || failed=1; \
+	.venv/bin/ruff format --check . || failed=1; \
+	.venv/bin/mypy || failed=1; \
+	exit $$failed
 
 format: $(VENV_STAMP) ## let ruff format the sources and mend what it can
 	@.venv/bin/ruff check --fix .

@@ -25,11 +25,16 @@ def cmake_files(prefix: Path) -> Iterator[Path]:
         yield from sorted(folder.rglob("*.cmake"))
 
 
-def patch(path: Path, replacements: tuple[tuple[str, str], ...]) -> bool:
+def replacements() -> tuple[tuple[str, str], ...]:
+    """Return what to replace by what; the longer path first, since it begins with the shorter one."""
+    return (BUILD_NUMPY, numpy.get_include()), (BUILD_PYTHON, sys.base_prefix)
+
+
+def patch(path: Path, pairs: tuple[tuple[str, str], ...]) -> bool:
     """Replace paths in one file; return whether it changed."""
     before = path.read_text(encoding="utf-8", errors="surrogateescape")
     after = before
-    for old, new in replacements:
+    for old, new in pairs:
         after = after.replace(old, new)
     if after == before:
         return False
@@ -42,9 +47,8 @@ def patch(path: Path, replacements: tuple[tuple[str, str], ...]) -> bool:
 
 def main() -> int:
     """Patch the environment of the running interpreter."""
-    # The longer path first: it begins with the shorter one.
-    replacements = ((BUILD_NUMPY, numpy.get_include()), (BUILD_PYTHON, sys.base_prefix))
-    changed = sum(patch(path, replacements) for path in cmake_files(Path(sys.prefix)))
+    pairs = replacements()
+    changed = sum(patch(path, pairs) for path in cmake_files(Path(sys.prefix)))
     print(f"CMake files of the ROS 2 wheels: {changed} adapted to this machine.")
     return 0
 

@@ -1,0 +1,89 @@
+"""The scripts that set up the build say what is missing, and can be run twice."""
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy
+import pytest
+
+SCRIPTS = Path(__file__).parents[2] / "scripts"
+
+
+def load(name: str):
+    spec = importlib.util.spec_from_file_location(name, SCRIPTS / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def tools(tmp_path):
+    """A folder of tools to be the whole PATH: those that the check itself needs."""
+    for tool in ("awk", "bash", "env", "head", "sort"):
+        (tmp_path / tool).symlink_to(shutil.which(tool))
+    return tmp_path
+
+
+def check_tools(tools, python="python3.11"):
+    environment = {**os.environ, "PATH": str(tools)}
+    environment.pop("CXX", None)
+    return subprocess.run(
+        [SCRIPTS / "check_tools", python], env=environment, capture_output=True, text=True, check=False
+    )
+
+
+def tool(tools, name, script):
+    path = tools / name
+    path.write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
+    path.chmod(0o755)
+
+
+def test_missing_tools_are_named_in_a_sentence_each(tools):
+    result = check_tools(tools)
+    assert result.returncode == 1
+    lines = result.stderr.splitlines()
+    assert [line.startswith("error: ") for line in lines] == [True] * 3
+    assert "install python3.11" in lines[0]
+    assert "install cmake" in lines[1]
+    assert "install g++" in lines[2]
+
+
+def test_old_cmake_is_refused_by_its_version(tools):
+    tool(tools, "cmake", "echo 'cmake version 3.9.6'")
+    tool(tools, "c++", "exit 0")
+    result = check_tools(tools, sys.executable)
+    assert result.stderr == "error: CMake 3.20 or later is needed, found 3.9.6; install a newer cmake.\n"
+    assert result.returncode == 1
+
+
+def test_complete_machine_passes(tools):
+    tool(tools, "cmake", "echo 'cmake version 4.1.0'")
+    tool(tools, "c++", "exit 0")
+    result = check_tools(tools, sys.executable)
+    assert (result.returncode, result.stderr) == (0, "")
+
+
+def test_cmake_files_name_this_machine_after_one_pass(tmp_path):
+    patcher = load("patch_ros_wheels")
+    path = tmp_path / "share" / "package" / "targets.cmake"
+    path.parent.mkdir(parents=True)
+    path.write_text(
+        f'set(A "{patcher.BUILD_NUMPY};{patcher.BUILD_PYTHON}/include/python3.11")\n', encoding="utf-8"
+    )
+    replacements = patcher.replacements()
+
+    assert [patcher.patch(found, replacements) for found in patcher.cmake_files(tmp_path)] == [True]
+    assert path.read_text(encoding="utf-8") == (
+        f'set(A "{numpy.get_include()};{sys.base_prefix}/include/python3.11")\n'
+    )
+    assert patcher.patch(path, replacements) is False
+
+
+def test_run_without_a_command_says_how_it_is_used():
+    result = subprocess.run([SCRIPTS / "run"], capture_output=True, text=True, check=False)
+    assert result.returncode == 2
+    assert result.stderr.startswith("usage: scripts/run COMMAND")
