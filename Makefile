@@ -35,7 +35,7 @@ demo: $(BUILD_STAMP) ## the main job on the bundled phantom: table, out/demo/rep
 
 test: $(BUILD_STAMP) ## all tests, in the built workspace
 	@echo "==> Running the tests"
-	@scripts/run python -m pytest -ra $(PYTEST_ARGS) $(TESTS)
+	@scripts/run --alone python -m pytest -ra $(PYTEST_ARGS) $(TESTS)
 
 lint: $(VENV_STAMP) ## ruff (rules and format) and mypy --strict; needs no built workspace
 	@echo "==> ruff and mypy"

@@ -86,4 +86,4 @@ def test_cmake_files_name_this_machine_after_one_pass(tmp_path):
 def test_run_without_a_command_says_how_it_is_used():
     result = subprocess.run([SCRIPTS / "run"], capture_output=True, text=True, check=False)
     assert result.returncode == 2
-    assert result.stderr.startswith("usage: scripts/run COMMAND")
+    assert result.stderr.startswith("usage: scripts/run [--alone] COMMAND")
