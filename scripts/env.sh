@@ -31,9 +31,9 @@ if [[ -z "${SOFTTISSUE_SKIP_WORKSPACE:-}" ]]; then
         return 1
     fi
     # colcon's script reads variables that may be unset.
-    _softtissue_options="$(set +o)"
+    case $- in *u*) _softtissue_nounset=-u ;; *) _softtissue_nounset=+u ;; esac
     set +u
     source "$_softtissue_root/ros2_ws/install/local_setup.bash"
-    eval "$_softtissue_options"
+    set "$_softtissue_nounset"
 fi
-unset _softtissue_root _softtissue_libs _softtissue_options
+unset _softtissue_root _softtissue_libs _softtissue_nounset
