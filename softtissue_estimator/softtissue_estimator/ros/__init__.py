@@ -1,0 +1,1 @@
+"""Everything of the estimator that touches ROS."""

@@ -1,0 +1,316 @@
+"""Messages to arrays and back. With `markers` and `status`, the only code that touches the fields of messages."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import TransformStamped
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import PointCloud2, PointField
+from softtissue_msgs.msg import Correspondences
+
+from softtissue_estimator.errors import InvalidInputError
+
+FloatArray = NDArray[np.float64]
+
+_NUMPY_TYPE = {PointField.FLOAT32: "f4", PointField.FLOAT64: "f8"}
+_TYPE_NAME = {
+    PointField.INT8: "int8",
+    PointField.UINT8: "uint8",
+    PointField.INT16: "int16",
+    PointField.UINT16: "uint16",
+    PointField.INT32: "int32",
+    PointField.UINT32: "uint32",
+    PointField.FLOAT32: "float32",
+    PointField.FLOAT64: "float64",
+}
+_POSITION = ("x", "y", "z")
+_REFERENCE = ("ref_x", "ref_y", "ref_z")
+
+# One vertex in `~/deformed_points`, as PRODUCT.md's table of topics lists it.
+_ANSWER = np.dtype(
+    [(name, "<f4") for name in ("x", "y", "z", "dx", "dy", "dz")] + [("structure", "<u4"), ("sigma", "<f4")]
+)
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """A point cloud as arrays.
+
+    Attributes
+    ----------
+    points : (n, 3) float64
+        Positions, m, in `frame`; rows as in the message, NaN included.
+    reference : (n, 3) float64 or None
+        Preoperative positions (fields ref_x ref_y ref_z), m, organ frame; None if the message has no such fields.
+    frame : str
+        Frame of `points`.
+    stamp_ns : int
+        Stamp of the message, nanoseconds.
+    """
+
+    points: FloatArray
+    reference: FloatArray | None
+    frame: str
+    stamp_ns: int
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Correspondences as arrays.
+
+    Attributes
+    ----------
+    index : (n,) int64
+        Rows of the cloud.
+    reference : (n, 3) float64
+        Preoperative positions, m, organ frame.
+    sigma : (n,) float64 or None
+        Standard deviation of each component of the displacement, m.
+    """
+
+    index: NDArray[np.int64]
+    reference: FloatArray
+    sigma: FloatArray | None
+
+
+def stamp_ns(stamp: Time) -> int:
+    """Return a stamp in nanoseconds."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def time_message(nanoseconds: int) -> Time:
+    """Return nanoseconds as a stamp."""
+    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+
+
+def field_names(message: PointCloud2) -> list[str]:
+    """Return the names of a cloud's fields, in order."""
+    return [field.name for field in message.fields]
+
+
+def carries_reference(message: PointCloud2) -> bool:
+    """Check the layout of a cloud and say whether it carries its own correspondences.
+
+    A cloud with any of the fields ref_x ref_y ref_z is taken to carry them, and must have all three.
+
+    Raises
+    ------
+    InvalidInputError
+        If the cloud is empty, lacks a field or its sizes contradict each other.
+    """
+    carries = not set(_REFERENCE).isdisjoint(field_names(message))
+    _table(message, _POSITION + (_REFERENCE if carries else ()))
+    return carries
+
+
+def read_cloud(message: PointCloud2) -> Cloud:
+    """Read the positions, and the preoperative positions if there are any, of a cloud of any layout.
+
+    Fields may be float32 or float64, at any offset, in either byte order, with padding after points and rows.
+
+    Raises
+    ------
+    InvalidInputError
+        If the cloud is empty, lacks x, y or z, or its sizes contradict each other.
+    """
+    names = _POSITION + (_REFERENCE if carries_reference(message) else ())
+    table = _table(message, names)
+    columns = np.empty((table.size, len(names)))
+    for column, name in enumerate(names):
+        columns[:, column] = table[name].reshape(-1)
+    return Cloud(
+        points=np.ascontiguousarray(columns[:, :3]),
+        reference=np.ascontiguousarray(columns[:, 3:]) if len(names) > 3 else None,
+        frame=message.header.frame_id,
+        stamp_ns=stamp_ns(message.header.stamp),
+    )
+
+
+def _table(message: PointCloud2, names: tuple[str, ...]) -> NDArray[Any]:
+    """View the bytes of a cloud as (height, width) records with the named fields."""
+    width, height, step = int(message.width), int(message.height), int(message.point_step)
+    if width * height == 0:
+        raise InvalidInputError(f"cloud: expected at least one point, got width {width} x height {height}")
+    record = _record(message, names)
+    # Drivers of unorganised clouds often leave row_step unset: with a single row it says nothing.
+    row_step = int(message.row_step)
+    if height == 1 and row_step < width * step:
+        row_step = width * step
+    if row_step < width * step:
+        raise InvalidInputError(
+            f"cloud: expected row_step of at least width {width} x point_step {step} bytes, got {row_step}"
+        )
+    if len(message.data) != row_step * height:
+        raise InvalidInputError(
+            f"cloud: expected {row_step * height} bytes of data (row_step {row_step} x height {height}),"
+            f" got {len(message.data)}"
+        )
+    return np.ndarray((height, width), dtype=record, buffer=message.data, strides=(row_step, step))
+
+
+def _record(message: PointCloud2, names: tuple[str, ...]) -> np.dtype[Any]:
+    """Describe the named fields of one point."""
+    fields = {field.name: field for field in message.fields}
+    missing = [name for name in names if name not in fields]
+    if missing:
+        present = " ".join(field_names(message)) or "none"
+        raise InvalidInputError(f"cloud: expected fields {' '.join(names)}, got {present}")
+    order = ">" if message.is_bigendian else "<"
+    formats, offsets = [], []
+    for name in names:
+        field = fields[name]
+        if field.datatype not in _NUMPY_TYPE:
+            got = _TYPE_NAME.get(field.datatype, f"type {field.datatype}")
+            raise InvalidInputError(f"cloud: expected field {name} to be float32 or float64, got {got}")
+        formats.append(order + _NUMPY_TYPE[field.datatype])
+        offsets.append(int(field.offset))
+        size = np.dtype(formats[-1]).itemsize
+        if field.offset + size > message.point_step:
+            raise InvalidInputError(
+                f"cloud: expected field {name} to end within point_step {message.point_step} bytes,"
+                f" got offset {field.offset} + {size}"
+            )
+    return np.dtype(
+        {"names": list(names), "formats": formats, "offsets": offsets, "itemsize": message.point_step}
+    )
+
+
+def read_correspondences(message: Correspondences, rows: int) -> Pairs:
+    """Read and check correspondences that belong to a cloud of `rows` rows.
+
+    Raises
+    ------
+    InvalidInputError
+        If the message breaks one of the rules that its definition lists.
+    """
+    reference = np.asarray(message.reference, dtype=np.float64)
+    if reference.size == 0 or reference.size % 3:
+        raise InvalidInputError(
+            f"correspondences: expected reference to hold 3 numbers an entry, got {reference.size} numbers"
+        )
+    reference = reference.reshape(-1, 3)
+    entries = len(reference)
+    if not np.isfinite(reference).all():
+        bad = int((~np.isfinite(reference).all(axis=1)).sum())
+        raise InvalidInputError(
+            f"correspondences: expected finite references, got {bad} of {entries} not finite"
+        )
+    if entries > rows:
+        raise InvalidInputError(
+            f"correspondences: expected at most as many entries as the cloud has points ({rows}), got {entries}"
+        )
+    return Pairs(_read_index(message, entries, rows), reference, _read_sigma(message, entries))
+
+
+def _read_index(message: Correspondences, entries: int, rows: int) -> NDArray[np.int64]:
+    index = np.asarray(message.index, dtype=np.int64)
+    if index.size == 0:
+        return np.arange(entries)
+    if index.size != entries:
+        raise InvalidInputError(
+            f"correspondences: expected index to have {entries} entries or none, got {index.size}"
+        )
+    if index.max() >= rows:
+        raise InvalidInputError(
+            f"correspondences: expected index below the cloud's {rows} rows, got {int(index.max())}"
+        )
+    if np.bincount(index, minlength=rows).max() > 1:
+        raise InvalidInputError(
+            "correspondences: expected each row of the cloud at most once in index, got repeats"
+        )
+    return index
+
+
+def _read_sigma(message: Correspondences, entries: int) -> FloatArray | None:
+    sigma = np.asarray(message.sigma, dtype=np.float64)
+    if sigma.size == 0:
+        return None
+    if sigma.size != entries:
+        raise InvalidInputError(
+            f"correspondences: expected sigma to have {entries} entries or none, got {sigma.size}"
+        )
+    if not (np.isfinite(sigma).all() and (sigma > 0.0).all()):
+        bad = int((~(np.isfinite(sigma) & (sigma > 0.0))).sum())
+        raise InvalidInputError(
+            f"correspondences: expected positive finite sigma (m), got {bad} of {entries} that are not"
+        )
+    return sigma
+
+
+def read_transform(message: TransformStamped) -> FloatArray:
+    """Read a rigid motion as a (4, 4) matrix.
+
+    The matrix takes points from `child_frame_id` to `header.frame_id`: x_parent = R x_child + t, m.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is not finite or the quaternion is not of unit length.
+    """
+    rotation, translation = message.transform.rotation, message.transform.translation
+    quaternion = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
+    shift = np.array([translation.x, translation.y, translation.z])
+    if not (np.isfinite(quaternion).all() and np.isfinite(shift).all()):
+        raise InvalidInputError("registration: expected finite numbers, got some that are not")
+    length = float(np.linalg.norm(quaternion))
+    if abs(length - 1.0) > 1e-3:
+        raise InvalidInputError(f"registration: expected a quaternion of length 1, got {length:.4g}")
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat(quaternion / length).as_matrix()
+    matrix[:3, 3] = shift
+    return matrix
+
+
+def answer_cloud(
+    positions: FloatArray,
+    displacement: FloatArray,
+    structure: NDArray[np.uint32],
+    sigma: FloatArray | None,
+    frame: str,
+    stamp: int,
+) -> PointCloud2:
+    """Build the message of `~/deformed_points`.
+
+    Parameters
+    ----------
+    positions : (k, 3) float64
+        Intraoperative positions, m, in `frame`.
+    displacement : (k, 3) float64
+        Intraoperative minus preoperative positions, m, in `frame`.
+    structure : (k,) uint32
+        Which structure each point belongs to.
+    sigma : (k,) float64 or None
+        Predicted standard deviation of each component, m; None becomes NaN.
+    frame : str
+        The organ's frame.
+    stamp : int
+        Stamp of the cloud that is answered, nanoseconds.
+    """
+    records = np.empty(len(positions), dtype=_ANSWER)
+    for axis, (position, moved) in enumerate((("x", "dx"), ("y", "dy"), ("z", "dz"))):
+        records[position] = positions[:, axis]
+        records[moved] = displacement[:, axis]
+    records["structure"] = structure
+    records["sigma"] = np.nan if sigma is None else sigma
+    return make_cloud(records, frame, stamp)
+
+
+def make_cloud(records: NDArray[Any], frame: str, stamp: int) -> PointCloud2:
+    """Build a dense, unorganised cloud from a structured array of float32, float64 and uint32 fields."""
+    kinds = {"f4": PointField.FLOAT32, "f8": PointField.FLOAT64, "u4": PointField.UINT32}
+    message = PointCloud2()
+    message.header.frame_id = frame
+    message.header.stamp = time_message(stamp)
+    message.height, message.width = 1, len(records)
+    message.point_step = records.dtype.itemsize
+    message.row_step = records.dtype.itemsize * len(records)
+    message.is_dense = bool(all(np.isfinite(records[name]).all() for name in _POSITION))
+    message.fields = [
+        PointField(name=name, offset=int(kind[1]), datatype=kinds[kind[0].str[1:]], count=1)
+        for name, kind in (records.dtype.fields or {}).items()
+    ]
+    message.data = records.tobytes()
+    return message

@@ -1,0 +1,315 @@
+"""The managed node `softtissue_estimator`: parameters, services, life cycle. The work is done elsewhere."""
+
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import PointCloud2
+from softtissue_msgs.msg import EstimatorStatus
+from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints
+from visualization_msgs.msg import MarkerArray
+
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.errors import InvalidInputError, SoftTissueError
+from softtissue_estimator.estimator import create_estimator
+from softtissue_estimator.organ import load_organ
+from softtissue_estimator.resources import bundled_organ
+from softtissue_estimator.ros import parameters
+from softtissue_estimator.ros.counters import FrameCounters
+from softtissue_estimator.ros.frames import Frame
+from softtissue_estimator.ros.intake import Intake, Received
+from softtissue_estimator.ros.markers import MarkerBuffer
+from softtissue_estimator.ros.registration import Registration, tf_source
+from softtissue_estimator.ros.responder import Engine, Outputs, Responder
+from softtissue_estimator.ros.services import answer_warp, loaded
+from softtissue_estimator.ros.status import INVALID, diagnostics_message
+from softtissue_estimator.ros.watchdog import silence
+from softtissue_estimator.ros.worker import LatestWorker
+
+NAME = "softtissue_estimator"
+LOG_PERIOD_S = 2.0
+SILENCE_PERIOD_S = 10.0
+STOP_TIMEOUT_S = 2.0
+OUTPUT_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+SUCCESS, FAILURE, ERROR = (
+    TransitionCallbackReturn.SUCCESS,
+    TransitionCallbackReturn.FAILURE,
+    TransitionCallbackReturn.ERROR,
+)
+
+
+class EstimatorNode(LifecycleNode):
+    """Publishes where the inside of an organ is, many times a second.
+
+    Parameters
+    ----------
+    on_crash : callable
+        Takes an exception that nobody expected; the program should end.
+
+    Raises
+    ------
+    InvalidInputError
+        If a parameter given at the start cannot be used.
+    """
+
+    def __init__(self, on_crash: Callable[[BaseException], None]) -> None:
+        super().__init__(NAME)
+        self._on_crash = on_crash
+        self.failure: str | None = None
+        parameters.declare_parameters(self)
+        self._config: EstimatorConfig = parameters.read_config(self)
+        self.add_on_set_parameters_callback(self._on_parameters)
+        self._counters = FrameCounters()
+        self._registration = Registration(tf_source(self))
+        outputs = Outputs(
+            self.create_lifecycle_publisher(PointCloud2, "~/deformed_points", OUTPUT_QOS),
+            self.create_lifecycle_publisher(MarkerArray, "~/markers", OUTPUT_QOS),
+            self.create_lifecycle_publisher(EstimatorStatus, "~/status", OUTPUT_QOS),
+            self._warn,
+        )
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
+        self._responder = Responder(outputs, self._counters, self._registration, lambda: self._config)
+        self._worker: LatestWorker[Frame] | None = None
+        self._intake: Intake | None = None
+        self._loading = threading.Lock()
+        self._active_since_s = self._silence_said_s = 0.0
+        self._create_services()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(0.1, self._on_expiry, clock=steady)
+        self.create_timer(1.0, self._on_second, clock=steady)
+
+    def _create_services(self) -> None:
+        # Loading waits for a thread; a group of its own lets everything else go on meanwhile.
+        self.create_service(
+            LoadOrgan, "~/load_organ", self._on_load_organ, callback_group=ReentrantCallbackGroup()
+        )
+        quick = MutuallyExclusiveCallbackGroup()
+        self.create_service(WarpPoints, "~/warp_points", self._on_warp_points, callback_group=quick)
+        self.create_service(Reset, "~/reset", self._on_reset, callback_group=quick)
+
+    # Life cycle
+
+    @property
+    def state_label(self) -> str:
+        """Name of the present state of the life cycle."""
+        return str(self._state_machine.current_state[1])
+
+    def start(self) -> str | None:
+        """Configure and activate; return what prevents it in a sentence."""
+        if self.trigger_configure() == SUCCESS and self.trigger_activate() == SUCCESS:
+            return None
+        return self.failure or "the node could not be configured"
+
+    @property
+    def autostart(self) -> bool:
+        """Whether the node starts without being asked."""
+        return self._config.autostart
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Load organ and estimator."""
+        return self._transition(self._configure, super().on_configure, state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to answer."""
+        return self._transition(self._activate, super().on_activate, state, ours_last=True)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop answering; organ and estimator stay loaded."""
+        return self._transition(self._deactivate, super().on_deactivate, state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let go of organ and estimator."""
+        return self._transition(self._clean_up, super().on_cleanup, state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let go of everything."""
+        return self._transition(self._clean_up, super().on_shutdown, state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Return to unconfigured."""
+        return self._transition(self._clean_up, super().on_error, state)
+
+    def _transition(
+        self,
+        ours: Callable[[], None],
+        entities: Callable[[LifecycleState], TransitionCallbackReturn],
+        state: LifecycleState,
+        ours_last: bool = False,
+    ) -> TransitionCallbackReturn:
+        """Run a transition; rclpy hides what its callbacks raise, so it is reported here."""
+        self.failure = None
+        try:
+            if ours_last:
+                result = entities(state)
+                ours()
+                return result
+            ours()
+            return entities(state)
+        except SoftTissueError as error:
+            self.failure = str(error)
+            self.get_logger().error(self.failure)
+            return FAILURE
+        except Exception as error:
+            self.failure = f"unexpected {type(error).__name__}: {error}"
+            self.get_logger().error(traceback.format_exc())
+            return ERROR
+
+    def _configure(self) -> None:
+        self._config = parameters.read_config(self)
+        self._responder.use(self._make_engine(self._config.organ))
+
+    def _activate(self) -> None:
+        self._responder.reset()
+        self._worker = LatestWorker(self._responder.work, self._on_crash)
+        self._active_since_s, self._silence_said_s = time.monotonic(), -SILENCE_PERIOD_S
+        self._intake = Intake(
+            self, self._counters, self._registration, self._on_frame, self._responder.refuse, self._warn
+        )
+        self.get_logger().info(f"answering clouds on {self._intake.topic}")
+
+    def _deactivate(self) -> None:
+        if self._intake is not None:
+            self._intake.close()
+            self._intake = None
+        if self._worker is not None:
+            self._worker.stop(STOP_TIMEOUT_S)
+            self._worker = None
+        self._responder.reset()
+
+    def _clean_up(self) -> None:
+        self._deactivate()
+        self._responder.use(None)
+
+    def close(self, timeout_s: float) -> bool:
+        """Stop working; return whether the thread of the estimates ended in time."""
+        return self._worker is None or self._worker.stop(timeout_s)
+
+    def _make_engine(self, folder: str) -> Engine:
+        """Load an organ and prepare an estimator for it: seconds the first time."""
+        say = self.get_logger().info
+        path = Path(folder) if folder else bundled_organ()
+        say(f"loading organ {path}")
+        began = time.monotonic()
+        organ = load_organ(path)
+        estimator = create_estimator(self._config)
+        estimator.load_organ(organ, say)
+        markers = MarkerBuffer(organ, self._config.no_data_timeout_s)
+        say(
+            f"organ {organ.name!r} with {len(organ.structures)} structures is ready after"
+            f" {time.monotonic() - began:.1f} s: estimator {estimator.name!r} on {estimator.device}"
+        )
+        return Engine(organ, estimator, markers)
+
+    # Clouds
+
+    def _on_frame(self, received: Received) -> None:
+        frame = Frame(received.cloud, received.correspondences, received.received_s, self._responder.epoch)
+        if self._worker is not None and self._worker.put(frame) is not None:
+            self._counters.add(dropped=1)
+
+    # Timers
+
+    def _on_expiry(self) -> None:
+        if self._intake is not None:
+            self._intake.expire()
+
+    def _on_second(self) -> None:
+        if self._intake is not None:
+            self._say_silence(self._intake)
+        now = self.get_clock().now().to_msg()
+        self._diagnostics.publish(
+            diagnostics_message(
+                self.get_fully_qualified_name(),
+                now,
+                self.state_label,
+                self._responder.report,
+                self._responder.setup,
+                self._counters.counts,
+            )
+        )
+
+    def _say_silence(self, intake: Intake) -> None:
+        now = time.monotonic()
+        reason = silence(
+            now,
+            self._active_since_s,
+            intake.last_cloud_s,
+            intake.publishers(),
+            self._config.no_data_timeout_s,
+            intake.topic,
+        )
+        if reason is not None and now - self._silence_said_s >= SILENCE_PERIOD_S:
+            self._silence_said_s = now
+            self._responder.note(INVALID, reason)
+
+    # Services
+
+    async def _on_load_organ(
+        self, request: LoadOrgan.Request, response: LoadOrgan.Response
+    ) -> LoadOrgan.Response:
+        future = self.executor.create_future()
+        threading.Thread(
+            target=self._load_organ, args=(request.folder, response, future), name="load", daemon=True
+        ).start()
+        await future
+        return response
+
+    def _load_organ(self, folder: str, response: LoadOrgan.Response, future: Any) -> None:
+        try:
+            with self._loading:
+                engine = self._make_engine(folder) if self._responder.configured else None
+                # Asked again: the node may have been cleaned up meanwhile.
+                if engine is None or not self._responder.exchange(engine):
+                    loaded(
+                        response, None, "expected an inactive or active node, got one that is not configured"
+                    )
+                else:
+                    loaded(response, engine.organ)
+        except SoftTissueError as error:
+            self.get_logger().error(str(error))
+            loaded(response, None, str(error), invalid=True)
+        except Exception as error:
+            self._on_crash(error)
+        finally:
+            future.set_result(None)
+            self.executor.wake()
+
+    def _on_warp_points(
+        self, request: WarpPoints.Request, response: WarpPoints.Response
+    ) -> WarpPoints.Response:
+        active = self._intake is not None
+        return answer_warp(request, response, active, self._responder.answer, self._registration)
+
+    def _on_reset(self, _request: Reset.Request, response: Reset.Response) -> Reset.Response:
+        if not self._responder.configured:
+            response.result = Reset.Response.NOT_CONFIGURED
+            response.message = "expected an inactive or active node, got one that is not configured"
+            return response
+        if self._intake is not None:
+            self._intake.clear()
+        if self._worker is not None:
+            self._worker.take_back()
+        self._responder.reset()
+        return response
+
+    # Parameters and log
+
+    def _on_parameters(self, changes: list[Parameter]) -> Any:
+        try:
+            self._config = parameters.changed_config(self._config, changes, self._responder.configured)
+        except InvalidInputError as error:
+            return parameters.refused(error)
+        return parameters.accepted()
+
+    def _warn(self, sentence: str) -> None:
+        self.get_logger().warning(sentence, throttle_duration_sec=LOG_PERIOD_S)

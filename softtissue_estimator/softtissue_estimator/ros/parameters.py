@@ -1,0 +1,103 @@
+"""The node's parameters, derived from `EstimatorConfig`: one place for names, types, ranges and descriptions."""
+
+import dataclasses
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.errors import InvalidInputError
+
+# Read anew for every cloud, so they may change while the node works. Everything else goes into what is loaded.
+LIVE = frozenset(
+    {
+        "default_sigma_m",
+        "max_displacement_m",
+        "max_reference_distance_m",
+        "minimum_points",
+        "minimum_visible_fraction",
+        "maximum_rejected_fraction",
+        "frame_budget_s",
+        "no_data_timeout_s",
+    }
+)
+
+
+def descriptor(field: "dataclasses.Field[Any]") -> ParameterDescriptor:
+    """Describe one field of `EstimatorConfig` as ROS tools show it."""
+    unit, choices, limits = (field.metadata[key] for key in ("unit", "choices", "range"))
+    text = field.metadata["description"]
+    text += f" Unit: {unit}." if unit else ""
+    text += "" if field.name in LIVE else " Can only be changed while the node is unconfigured."
+    message = ParameterDescriptor(name=field.name, description=text)
+    message.type = Parameter.Type.from_parameter_value(field.default).value
+    if choices is not None:
+        message.additional_constraints = f"One of: {', '.join(choices)}"
+    if limits is not None and isinstance(field.default, int):
+        message.integer_range = [IntegerRange(from_value=int(limits[0]), to_value=int(limits[1]), step=1)]
+    elif limits is not None:
+        message.floating_point_range = [
+            FloatingPointRange(from_value=float(limits[0]), to_value=float(limits[1]), step=0.0)
+        ]
+    return message
+
+
+def declare_parameters(node: Node) -> None:
+    """Declare a parameter for every field of `EstimatorConfig`.
+
+    Raises
+    ------
+    InvalidInputError
+        If a value given at the start is of the wrong type or outside its range.
+    """
+    for field in dataclasses.fields(EstimatorConfig):
+        try:
+            node.declare_parameter(field.name, field.default, descriptor(field))
+        except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+            # rclpy's sentences say what was expected and what was given.
+            raise InvalidInputError(f"parameter {field.name}: {error}") from None
+
+
+def read_config(node: Node) -> EstimatorConfig:
+    """Read the parameters as one checked value.
+
+    Raises
+    ------
+    InvalidInputError
+        If a value cannot be used.
+    """
+    names = [field.name for field in dataclasses.fields(EstimatorConfig)]
+    return EstimatorConfig(**{name: node.get_parameter(name).value for name in names})
+
+
+def changed_config(config: EstimatorConfig, changes: list[Parameter], configured: bool) -> EstimatorConfig:
+    """Return the configuration after a change of parameters.
+
+    Raises
+    ------
+    InvalidInputError
+        If a value cannot be used, or cannot be changed because the node is configured.
+    """
+    known = {field.name for field in dataclasses.fields(EstimatorConfig)}
+    values = {change.name: change.value for change in changes if change.name in known}
+    for name, value in values.items():
+        if configured and name not in LIVE and value != getattr(config, name):
+            hint = "call ~/load_organ, or " if name == "organ" else ""
+            raise InvalidInputError(
+                f"parameter {name}: can only be changed while the node is unconfigured; {hint}clean the node up"
+                " (lifecycle transitions deactivate, cleanup), set it, then configure and activate again"
+            )
+    return dataclasses.replace(config, **values)
+
+
+def accepted() -> SetParametersResult:
+    """Answer to a change of parameters that is taken."""
+    return SetParametersResult(successful=True)
+
+
+def refused(error: InvalidInputError) -> SetParametersResult:
+    """Answer to a change of parameters that is not taken."""
+    return SetParametersResult(successful=False, reason=str(error))

@@ -1,0 +1,90 @@
+"""How the executables start and end: signals, one thread that spins, exit codes."""
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from types import FrameType
+from typing import Any
+
+# Nothing heavy is imported here: signals must be caught before that begins.
+
+
+class StopRequest:
+    """Set by SIGINT or SIGTERM, or by the program itself.
+
+    Python's own handlers raise KeyboardInterrupt or kill, and rclpy's invalidate the context under a running
+    callback; this one only takes note, so that everything ends in order.
+    """
+
+    def __init__(self) -> None:
+        self.event = threading.Event()
+        self.exit_code = 0
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def stop(self, exit_code: int = 0) -> None:
+        """Ask the program to end; the first caller's exit code counts."""
+        if not self.event.is_set():
+            self.exit_code = exit_code
+            self.event.set()
+
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        self.event.set()
+
+
+class Spinner:
+    """Spins a node in a thread of its own.
+
+    Parameters
+    ----------
+    node : Node
+    before : callable, optional
+        Runs first in that thread.
+    on_error : callable
+        Takes what a callback raised; the thread ends with it.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        on_error: Callable[[BaseException], None],
+        before: Callable[[], None] | None = None,
+    ) -> None:
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.task import Future
+
+        self._node, self._before, self._on_error = node, before, on_error
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+        self._done: Any = Future()
+        self._thread = threading.Thread(target=self._run, name="spin", daemon=True)
+        self._thread.start()
+
+    def stop(self, timeout_s: float) -> bool:
+        """End after the callback at work; return whether the thread ended within `timeout_s`."""
+        # Not Executor.shutdown: it destroys what the spinning thread still uses.
+        self._done.set_result(None)
+        self._thread.join(timeout_s)
+        ended = not self._thread.is_alive()
+        if ended:
+            self._executor.shutdown()
+        return ended
+
+    def _run(self) -> None:
+        try:
+            if self._before is not None:
+                self._before()
+            self._executor.spin_until_future_complete(self._done)
+        except Exception as error:  # reported by the owner, which ends the program
+            self._on_error(error)
+
+
+def leave(exit_code: int, orderly: bool) -> None:
+    """End the process; without waiting for threads that did not end when `orderly` is false."""
+    if orderly:
+        sys.exit(exit_code)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(exit_code)

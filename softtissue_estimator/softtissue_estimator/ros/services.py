@@ -1,0 +1,76 @@
+"""Answers to the node's services."""
+
+from array import array
+
+import numpy as np
+from numpy.typing import NDArray
+from softtissue_msgs.srv import LoadOrgan, WarpPoints
+
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.organ import Organ
+from softtissue_estimator.ros.conversions import time_message
+from softtissue_estimator.ros.frames import Answer
+from softtissue_estimator.ros.registration import Registration, transform_points
+
+FloatArray = NDArray[np.float64]
+
+
+def loaded(
+    response: LoadOrgan.Response, organ: Organ | None, message: str = "", invalid: bool = False
+) -> None:
+    """Fill the answer of `~/load_organ`; `organ` is None when nothing was loaded."""
+    response.message = message
+    if organ is None:
+        response.result = LoadOrgan.Response.INVALID_ORGAN if invalid else LoadOrgan.Response.NOT_CONFIGURED
+        return
+    response.result = LoadOrgan.Response.SUCCESS
+    response.name = organ.name
+    response.structures = len(organ.structures)
+    response.vertices = len(organ.query_points)
+    response.message = f"loaded {organ.name!r} with {len(organ.structures)} structures"
+
+
+def answer_warp(
+    request: WarpPoints.Request,
+    response: WarpPoints.Response,
+    active: bool,
+    answer: Answer | None,
+    registration: Registration,
+) -> WarpPoints.Response:
+    """Move points through the present estimate."""
+    codes = WarpPoints.Response
+    if not active:
+        response.result, response.message = codes.NOT_ACTIVE, "expected an active node, got one that is not"
+        return response
+    if answer is None:
+        response.result = codes.NO_ESTIMATE
+        response.message = (
+            "expected an estimate, got none: no cloud was answered yet, or the last one was refused"
+        )
+        return response
+    points = np.asarray(request.points, dtype=np.float64)
+    if points.size == 0 or points.size % 3 or not np.isfinite(points).all():
+        response.result = codes.INVALID_POINTS
+        response.message = f"points: expected 3 finite numbers for each point, got {points.size} numbers"
+        if points.size and points.size % 3 == 0:
+            response.message = "points: expected finite numbers, got some that are not"
+        return response
+    frame = request.header.frame_id or answer.organ.frame
+    try:
+        motion = registration.organ_from_cloud(frame, answer.organ.frame, answer.stamp_ns)
+    except InvalidInputError as error:
+        response.result, response.message = codes.WRONG_FRAME, str(error).replace("cloud", "points")
+        return response
+    reference = transform_points(motion, points.reshape(-1, 3))
+    displacement, sigma = answer.estimate.displacement_at(reference)
+    response.header.frame_id = answer.organ.frame
+    response.header.stamp = time_message(answer.stamp_ns)
+    response.points = _doubles(reference + displacement)
+    response.displacement = _doubles(displacement)
+    response.sigma = _doubles(np.full(len(reference), np.nan) if sigma is None else sigma)
+    return response
+
+
+def _doubles(values: FloatArray) -> "array[float]":
+    """Pack numbers as the messages hold them."""
+    return array("d", np.ascontiguousarray(values, dtype=np.float64).tobytes())

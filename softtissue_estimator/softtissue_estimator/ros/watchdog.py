@@ -1,0 +1,40 @@
+"""Notice that no clouds arrive. Knows no ROS."""
+
+NEVER_HINT = (
+    "set FASTDDS_DEFAULT_PROFILES_FILE to this package's config/fastdds_profile.xml where they are published"
+    " (docs/transport.md)"
+)
+
+
+def silence(
+    now_s: float,
+    active_since_s: float,
+    last_cloud_s: float | None,
+    publishers: int,
+    timeout_s: float,
+    topic: str,
+) -> str | None:
+    """Say in a sentence that no cloud has arrived for too long, or return None.
+
+    Parameters
+    ----------
+    now_s, active_since_s, last_cloud_s : float
+        Now, the activation and the newest cloud, s on one monotonic clock; None if no cloud came yet.
+    publishers : int
+        Publishers announced on the topic.
+    timeout_s : float
+        How long nothing may arrive, s.
+    topic : str
+        Full name of the topic.
+    """
+    waited = now_s - (active_since_s if last_cloud_s is None else last_cloud_s)
+    if waited <= timeout_s:
+        return None
+    expected = f"{topic}: expected a cloud at least every {timeout_s:g} s, got none for {waited:.1f} s"
+    if last_cloud_s is None and publishers == 0:
+        return None  # nobody has promised any
+    if publishers == 0:
+        return f"{expected}; its publisher is gone"
+    if last_cloud_s is None:
+        return f"{expected} although {publishers} publisher(s) announce them; if they are large, {NEVER_HINT}"
+    return f"{expected} from {publishers} publisher(s)"
