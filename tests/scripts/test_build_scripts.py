@@ -90,20 +90,11 @@ def test_run_without_a_command_says_how_it_is_used():
     assert result.stderr.startswith("usage: scripts/run [--alone] COMMAND")
 
 
-def compile_library(path, source, *flags):
-    command = [
-        "c++",
-        "-shared",
-        "-fPIC",
-        "-x",
-        "c++",
-        "-",
-        "-o",
-        str(path),
-        f"-Wl,-soname,{path.name}",
-        *flags,
-    ]
-    subprocess.run(command, input=source, text=True, check=True)
+def compile_library(path, source, *libraries):
+    code = path.with_suffix(".cpp")
+    code.write_text(source, encoding="utf-8")
+    flags = ["-shared", "-fPIC", f"-Wl,-soname,{path.name}"]
+    subprocess.run(["c++", *flags, "-o", path, code, *libraries], check=True)
 
 
 def test_library_loads_without_those_it_does_not_call(tmp_path):
