@@ -12,8 +12,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-STAND_IN = "libgmsh_without_window.so"
-
 
 def lacking(library: Path) -> tuple[list[str], list[str]]:
     """Return the names of the libraries that a library needs and that are not found, and the functions it lacks."""
@@ -39,10 +37,12 @@ def free_of(library: Path, patchelf: Path) -> list[str]:
     """Make a library load without those that are not found; return the names of these."""
     libraries, functions = lacking(library)
     if libraries:
-        build_stand_in(library.parent / STAND_IN, functions)
+        # A name of its own: the loader may look elsewhere before it looks beside the library.
+        stand_in = f"{library.name.partition('.')[0]}_stand_in.so"
+        build_stand_in(library.parent / stand_in, functions)
         removals = [option for name in libraries for option in ("--remove-needed", name)]
         subprocess.run(
-            [str(patchelf), *removals, "--add-needed", STAND_IN, "--add-rpath", "$ORIGIN", str(library)],
+            [str(patchelf), *removals, "--add-needed", stand_in, "--add-rpath", "$ORIGIN", str(library)],
             check=True,
         )
     return libraries
