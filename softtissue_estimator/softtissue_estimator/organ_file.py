@@ -177,9 +177,8 @@ class _Entry:
         if value is None and default is not None:
             return default
         if not isinstance(value, str) or not value.strip():
-            raise OrganError(
-                f"{self.where(key)}: expected {required_hint}, got {'nothing' if value is None else value!r}"
-            )
+            got = "nothing" if value is None else repr(value)
+            raise OrganError(f"{self.where(key)}: expected {required_hint}, got {got}")
         return value.strip()
 
     def file(self, key: str) -> Path:
