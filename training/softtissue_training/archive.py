@@ -102,15 +102,15 @@ def list_records(data: Path) -> list[str]:
     raise InvalidInputError(f"simulations are read from a folder or a packed file, got {data}, which does not exist")
 
 
-def read_samples(data: Path, names: list[str]) -> Iterator[Sample]:
-    """Yield the named samples of a folder or a packed file, in the order of the names."""
+def read_records(data: Path, names: list[str]) -> Iterator[bytes]:
+    """Yield the bytes of the named records of a folder or a packed file, in the order of the names."""
     if data.is_dir():
         for name in names:
-            yield parse_sample((data / name).read_bytes(), str(data / name))[0]
+            yield (data / name).read_bytes()
         return
     with _open_packed(data) as packed:
         for name in names:
-            yield parse_sample(packed.read(name), f"{name} in {data}")[0]
+            yield packed.read(name)
 
 
 def pack(folder: Path, target: Path) -> int:
@@ -127,12 +127,9 @@ def pack(folder: Path, target: Path) -> int:
     return len(names)
 
 
-def digest(names: list[str], data: Path) -> str:
-    """Return a hash of the names and seeds of a data set, which its deterministic records follow from."""
-    hasher = hashlib.sha256()
-    for name, sample in zip(names, read_samples(data, names), strict=True):
-        hasher.update(f"{name} {sample.seed} {sample.material} {sample.versions}\n".encode())
-    return hasher.hexdigest()
+def digest(records: dict[str, str]) -> str:
+    """Return one hash of the names of records and the hashes of their bytes, in any order."""
+    return hashlib.sha256(json.dumps(records, sort_keys=True).encode()).hexdigest()
 
 
 def _open_packed(path: Path) -> zipfile.ZipFile:

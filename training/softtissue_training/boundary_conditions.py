@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
-from softtissue_estimator.mesh import SurfaceMesh, face_areas, vertex_areas
+from softtissue_estimator.mesh import SurfaceMesh, vertex_areas
 
 from softtissue_training.errors import RejectedSampleError
 
@@ -91,22 +91,22 @@ def edge_graph(surface: SurfaceMesh) -> sparse.csr_matrix:
     return sparse.csr_matrix((lengths, (ends[:, 0], ends[:, 1])), shape=(count, count))
 
 
-def random_visible_patch(
-    surface: SurfaceMesh, rng: np.random.Generator, share: tuple[float, float] = (0.08, 1.0)
-) -> BoolArray:
-    """Return the faces of a patch grown from a random vertex until it covers a random share of the area, (m,).
+def grow_patch(from_seed: FloatArray, faces: NDArray[np.int64], areas: FloatArray, share: float) -> BoolArray:
+    """Return the faces nearest to a seed that together cover a share of the surface, (m,).
 
     Parameters
     ----------
+    from_seed
+        (n,) distance of each vertex from the seed along the surface, metres.
+    faces
+        (m, 3) vertex indices.
+    areas
+        (m,) m^2.
     share
-        Lowest and highest share of the surface's area.
+        Wanted share of the area, 0 to 1.
     """
-    wanted = rng.uniform(*share)
-    from_seed = surface_distance(surface, random_vertex(surface, rng))
-    reached_at = from_seed[surface.faces].mean(axis=1)
-    order = np.argsort(reached_at)
-    areas = face_areas(surface)[order]
-    covered = np.cumsum(areas) / areas.sum()
-    visible = np.zeros(len(surface.faces), dtype=bool)
-    visible[order[: int(np.searchsorted(covered, wanted)) + 1]] = True
+    order = np.argsort(from_seed[faces].mean(axis=1))
+    covered = np.cumsum(areas[order]) / areas.sum()
+    visible = np.zeros(len(faces), dtype=bool)
+    visible[order[: int(np.searchsorted(covered, share)) + 1]] = True
     return visible

@@ -7,9 +7,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from softtissue_estimator.errors import SoftTissueError
+from softtissue_estimator.errors import InvalidInputError, SoftTissueError
 
 from softtissue_training.material import LAWS
+from softtissue_training.training_config import CONFIGS, get_config
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -56,7 +57,38 @@ def _parser() -> argparse.ArgumentParser:
     pack.add_argument("folder", type=Path, metavar="DIR", help="folder written by `generate`")
     pack.add_argument("file", type=Path, metavar="FILE", help="file to write; `train --data FILE` reads it")
     pack.set_defaults(run=_pack)
+    _add_train(commands)
     return parser
+
+
+def _add_train(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    train = commands.add_parser(
+        "train",
+        help="train the network on simulations",
+        description="Train the network. Simulations that are added meanwhile are used as they come. One in twenty is "
+        "held out for validation; the weights with the lowest validation error are kept in OUT/best.safetensors.",
+    )
+    train.add_argument("--data", type=Path, required=True, metavar="PATH", help="folder or packed file of simulations")
+    train.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of weights, log and settings")
+    train.add_argument(
+        "--config",
+        choices=tuple(CONFIGS),
+        default="paper",
+        help="paper: 4.7 mm cells; paper-coarse: 9.4 mm, a fifth of the work; tiny: for trying out (default: paper)",
+    )
+    train.add_argument(
+        "--time-limit", type=float, required=True, metavar="MINUTES", help="the run ends then, with the best weights"
+    )
+    train.add_argument("--resume", action="store_true", help="go on with the unfinished run in OUT")
+    train.add_argument("--device", default="auto", help="auto, cpu or cuda (default: auto)")
+    train.add_argument("--threads", type=_positive, metavar="N", help="processor threads (default: all cores)")
+    train.add_argument("--bfloat16", action="store_true", help="convolutions in bfloat16")
+    train.add_argument("--batch-size", type=_positive, metavar="N", help="samples a step")
+    train.add_argument("--learning-rate", type=float, metavar="R", help="highest learning rate")
+    train.add_argument(
+        "--validate-every", type=float, default=4.0, metavar="MINUTES", help="also saves (default: 4)"
+    )
+    train.set_defaults(run=_train)
 
 
 def _positive(text: str) -> int:
@@ -80,4 +112,35 @@ def _pack(options: argparse.Namespace) -> int:
     from softtissue_training.archive import pack
 
     print(f"{pack(options.folder, options.file)} simulations in {options.file}")
+    return 0
+
+
+def _train(options: argparse.Namespace) -> int:
+    import torch
+    from softtissue_estimator.device import choose_device
+
+    from softtissue_training.train import STATE, RunOptions, train
+
+    if (options.out / STATE).exists() and not options.resume:
+        raise InvalidInputError(f"{options.out} holds a run already; add --resume to go on with it")
+    if options.threads is not None:
+        torch.set_num_threads(options.threads)
+    changes = {"batch_size": options.batch_size, "learning_rate": options.learning_rate}
+    config = get_config(options.config, **{name: value for name, value in changes.items() if value is not None})
+    result = train(
+        options.data,
+        options.out,
+        config,
+        RunOptions(
+            time_limit_s=60.0 * options.time_limit,
+            validate_every_s=60.0 * options.validate_every,
+            device=str(choose_device(options.device)),
+            mixed_precision=options.bfloat16,
+            command=" ".join(["softtissue-train", *sys.argv[1:]]),
+        ),
+    )
+    print(
+        f"validation error {1e3 * result.error:.2f} mm; no estimate {1e3 * result.displacement:.2f} mm, "
+        f"rigid fit of the visible patch {1e3 * result.rigid_error:.2f} mm"
+    )
     return 0

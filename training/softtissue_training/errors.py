@@ -9,6 +9,10 @@ class SolverDivergedError(SoftTissueError):
     """No equilibrium was found; the message gives the iterations and the residual."""
 
 
+class TrainingFailedError(SoftTissueError):
+    """Training cannot go on: its gradients are not finite."""
+
+
 class RejectedSampleError(SoftTissueError):
     """A simulation that ran but is not used for training; `reason` is one of a few short names that are counted."""
 

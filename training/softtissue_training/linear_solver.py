@@ -6,6 +6,7 @@ SciPy's SuperLU does the same work.
 
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
 from typing import Any, Protocol
 
@@ -45,6 +46,8 @@ class PardisoSolver:
             (np.ones(len(indices)), indices.astype(np.int32), indptr.astype(np.int32)), shape=(size, size)
         )
         self._pardiso: Any = PyPardisoSolver(mtype=-2)
+        # Otherwise pypardiso searches the whole environment for MKL every time.
+        os.environ.setdefault("PYPARDISO_MKL_RT", self._pardiso.libmkl._name)
         self._call(self._ANALYSE, np.zeros(size))
 
     def solve(self, upper_values: FloatArray, right_hand_side: FloatArray) -> FloatArray:

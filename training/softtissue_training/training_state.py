@@ -1,0 +1,98 @@
+"""A training run on disk, so that it can go on after an interruption: one safetensors file, replaced as a whole."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from softtissue_estimator.errors import CheckpointError
+from softtissue_estimator.network import UNet
+from torch import Tensor
+
+
+@dataclass
+class Progress:
+    """Where a run stands.
+
+    Attributes
+    ----------
+    step
+        Optimisation steps taken.
+    skipped
+        Steps left out because their gradient was not finite.
+    seconds
+        Time spent, over all parts of the run.
+    best_error
+        Lowest validation error, metres.
+    """
+
+    step: int = 0
+    skipped: int = 0
+    seconds: float = 0.0
+    best_error: float = float("inf")
+
+
+def save_state(
+    path: Path, network: UNet, average: UNet, optimiser: torch.optim.Adam, progress: Progress, config: dict[str, Any]
+) -> None:
+    """Write everything that a later run needs to go on."""
+    tensors: dict[str, Tensor] = {}
+    for name, value in network.state_dict().items():
+        tensors[f"network.{name}"] = value
+    for name, value in average.state_dict().items():
+        tensors[f"average.{name}"] = value
+    for name, weight in network.named_parameters():
+        for key, value in optimiser.state.get(weight, {}).items():
+            tensors[f"adam.{key}.{name}"] = torch.as_tensor(value)
+    partial = path.with_name(path.name + ".partial")
+    save_file(
+        {name: value.detach().cpu().contiguous() for name, value in tensors.items()},
+        partial,
+        metadata={"progress": json.dumps(asdict(progress)), "config": json.dumps(config)},
+    )
+    partial.replace(path)
+
+
+def load_state(
+    path: Path, network: UNet, average: UNet, optimiser: torch.optim.Adam, config: dict[str, Any]
+) -> Progress:
+    """Fill network, average and optimiser in place.
+
+    Raises
+    ------
+    CheckpointError
+        The file is damaged or belongs to a run with other settings.
+    """
+    try:
+        with safe_open(path, framework="pt") as stored:
+            metadata = stored.metadata() or {}
+            tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise CheckpointError(f"training state {path} is damaged: {error}") from error
+    if metadata.get("config") != json.dumps(config):
+        raise CheckpointError(
+            f"a run goes on with the settings it began with: expected {metadata.get('config')}, "
+            f"got {json.dumps(config)}; choose another folder for a new run"
+        )
+    network.load_state_dict(_with_prefix(tensors, "network."))
+    average.load_state_dict(_with_prefix(tensors, "average."))
+    for name, weight in network.named_parameters():
+        state = {
+            key: tensors[f"adam.{key}.{name}"]
+            for key in ("step", "exp_avg", "exp_avg_sq")
+            if f"adam.{key}.{name}" in tensors
+        }
+        if state:
+            optimiser.state[weight] = {
+                key: value if key == "step" else value.to(weight.device) for key, value in state.items()
+            }
+    return Progress(**json.loads(metadata["progress"]))
+
+
+def _with_prefix(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
