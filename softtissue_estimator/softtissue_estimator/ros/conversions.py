@@ -1,5 +1,6 @@
 """Messages to arrays and back. With `markers` and `status`, the only code that touches the fields of messages."""
 
+from array import array
 from dataclasses import dataclass
 from typing import Any
 
@@ -84,6 +85,11 @@ def stamp_ns(stamp: Time) -> int:
 def time_message(nanoseconds: int) -> Time:
     """Return nanoseconds as a stamp."""
     return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+
+
+def doubles(values: FloatArray) -> "array[float]":
+    """Pack numbers as float64[] fields hold them, row by row."""
+    return array("d", np.ascontiguousarray(values, dtype=np.float64).tobytes())
 
 
 def field_names(message: PointCloud2) -> list[str]:

@@ -32,11 +32,12 @@ from softtissue_estimator.ros.registration import Registration, tf_source
 from softtissue_estimator.ros.responder import Engine, Outputs, Responder
 from softtissue_estimator.ros.services import answer_warp, loaded
 from softtissue_estimator.ros.status import INVALID, diagnostics_message
+from softtissue_estimator.ros.throttle import Throttle
 from softtissue_estimator.ros.watchdog import silence
 from softtissue_estimator.ros.worker import LatestWorker
 
 NAME = "softtissue_estimator"
-LOG_PERIOD_S = 2.0
+LOG_PERIOD_S = 5.0
 SILENCE_PERIOD_S = 10.0
 STOP_TIMEOUT_S = 2.0
 OUTPUT_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -69,6 +70,7 @@ class EstimatorNode(LifecycleNode):
         parameters.declare_parameters(self)
         self._config: EstimatorConfig = parameters.read_config(self)
         self.add_on_set_parameters_callback(self._on_parameters)
+        self._throttle = Throttle(LOG_PERIOD_S)
         self._counters = FrameCounters()
         self._registration = Registration(tf_source(self))
         outputs = Outputs(
@@ -225,6 +227,7 @@ class EstimatorNode(LifecycleNode):
 
     def _on_second(self) -> None:
         if self._intake is not None:
+            self._intake.look_for_kept_registration()
             self._say_silence(self._intake)
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(
@@ -312,4 +315,5 @@ class EstimatorNode(LifecycleNode):
         return parameters.accepted()
 
     def _warn(self, sentence: str) -> None:
-        self.get_logger().warning(sentence, throttle_duration_sec=LOG_PERIOD_S)
+        if self._throttle.due(sentence, time.monotonic()):
+            self.get_logger().warning(sentence)

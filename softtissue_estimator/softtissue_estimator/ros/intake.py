@@ -21,11 +21,11 @@ from softtissue_estimator.ros.registration import Registration
 # Depth 1: an old cloud is worth nothing. Correspondences may arrive a few messages before their cloud.
 CLOUD_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 CORRESPONDENCES_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-# A registration may be published once and kept for late comers (transient local), or again and again (volatile). No
-# single subscription hears both, so there are two on the same topic; to take the same message twice does no harm.
-REGISTRATION_QOS = (
-    QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
-    QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+REGISTRATION_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+# For a registration that is published once and kept for late comers. A volatile publisher cannot serve such a
+# subscription and would log a warning, so there is one only where somebody offers it.
+KEPT_REGISTRATION_QOS = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 
 
@@ -69,22 +69,17 @@ class Intake:
         self._losses = LossCounter()
         self.last_cloud_s: float | None = None
         events = SubscriptionEventCallbacks(incompatible_qos=self._warn_incompatible)
-        silent = SubscriptionEventCallbacks(use_default_callbacks=False)
-        self._subscriptions: list[Any] = [
-            node.create_subscription(
-                Correspondences, "correspondences", self._take_correspondences, CORRESPONDENCES_QOS
-            ),
-            *(
-                node.create_subscription(
-                    TransformStamped, "registration", self._take_registration, qos, event_callbacks=silent
-                )
-                for qos in REGISTRATION_QOS
-            ),
-            # Last: who waits for this subscription to appear can rely on the others.
-            node.create_subscription(
-                PointCloud2, "surface_points", self._take_cloud, CLOUD_QOS, event_callbacks=events
-            ),
-        ]
+        self._kept_registration: Any = None
+        self._pairs = node.create_subscription(
+            Correspondences, "correspondences", self._take_correspondences, CORRESPONDENCES_QOS
+        )
+        self._poses = node.create_subscription(
+            TransformStamped, "registration", self._take_registration, REGISTRATION_QOS
+        )
+        # Last: who waits for this subscription to appear can rely on the others.
+        self._clouds = node.create_subscription(
+            PointCloud2, "surface_points", self._take_cloud, CLOUD_QOS, event_callbacks=events
+        )
 
     @property
     def waiting(self) -> int:
@@ -94,7 +89,7 @@ class Intake:
     @property
     def topic(self) -> str:
         """Full name of the topic of clouds."""
-        return str(self._subscriptions[-1].topic_name)
+        return str(self._clouds.topic_name)
 
     def publishers(self) -> int:
         """Count the publishers announced on the topic of clouds."""
@@ -104,14 +99,25 @@ class Intake:
         """Refuse the clouds whose correspondences did not come."""
         self._settle(self._matcher.expire(time.monotonic()))
 
+    def look_for_kept_registration(self) -> None:
+        """Subscribe once more to the registration if all its publishers keep it for late comers."""
+        if self._kept_registration is not None:
+            return
+        offers = self._node.get_publishers_info_by_topic(self._poses.topic_name)
+        if offers and all(o.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers):
+            self._kept_registration = self._node.create_subscription(
+                TransformStamped, "registration", self._take_registration, KEPT_REGISTRATION_QOS
+            )
+
     def clear(self) -> None:
         """Forget the clouds that wait, uncounted."""
         self._matcher.clear()
 
     def close(self) -> None:
         """End the subscriptions."""
-        for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
+        for subscription in (self._clouds, self._pairs, self._poses, self._kept_registration):
+            if subscription is not None:
+                self._node.destroy_subscription(subscription)
 
     def _take_cloud(self, message: PointCloud2, info: dict[str, Any]) -> None:
         now = self.last_cloud_s = time.monotonic()
@@ -155,7 +161,7 @@ class Intake:
         self._on_refusal(
             entry.cloud,
             "cloud: expected fields ref_x ref_y ref_z, or a message with the same stamp on"
-            f" {self._subscriptions[0].topic_name}, got fields {' '.join(field_names(entry.cloud))} alone",
+            f" {self._pairs.topic_name}, got fields {' '.join(field_names(entry.cloud))} alone",
         )
 
     def _warn_incompatible(self, event: Any) -> None:

@@ -1,18 +1,13 @@
 """Answers to the node's services."""
 
-from array import array
-
 import numpy as np
-from numpy.typing import NDArray
 from softtissue_msgs.srv import LoadOrgan, WarpPoints
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.organ import Organ
-from softtissue_estimator.ros.conversions import time_message
+from softtissue_estimator.ros.conversions import doubles, time_message
 from softtissue_estimator.ros.frames import Answer
 from softtissue_estimator.ros.registration import Registration, transform_points
-
-FloatArray = NDArray[np.float64]
 
 
 def loaded(
@@ -65,12 +60,7 @@ def answer_warp(
     displacement, sigma = answer.estimate.displacement_at(reference)
     response.header.frame_id = answer.organ.frame
     response.header.stamp = time_message(answer.stamp_ns)
-    response.points = _doubles(reference + displacement)
-    response.displacement = _doubles(displacement)
-    response.sigma = _doubles(np.full(len(reference), np.nan) if sigma is None else sigma)
+    response.points = doubles(reference + displacement)
+    response.displacement = doubles(displacement)
+    response.sigma = doubles(np.full(len(reference), np.nan) if sigma is None else sigma)
     return response
-
-
-def _doubles(values: FloatArray) -> "array[float]":
-    """Pack numbers as the messages hold them."""
-    return array("d", np.ascontiguousarray(values, dtype=np.float64).tobytes())

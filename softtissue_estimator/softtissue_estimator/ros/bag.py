@@ -1,0 +1,101 @@
+"""Bags: recorded messages, their types and their quality of service."""
+
+import importlib
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.rosbag2 import ReaderError
+
+from softtissue_estimator.errors import InvalidInputError
+
+
+class Bag:
+    """A rosbag2 bag: a folder with metadata.yaml, or an MCAP or sqlite3 file alone. A context manager.
+
+    Raises
+    ------
+    InvalidInputError
+        If it cannot be read or holds no messages.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.exists():
+            raise InvalidInputError(
+                f"bag {path}: expected a bag folder, .mcap or .db3 file, got nothing there"
+            )
+        self._stack = ExitStack()
+        try:
+            self._reader = self._stack.enter_context(AnyReader([path]))
+        except (AnyReaderError, ReaderError, OSError, ValueError) as error:
+            raise InvalidInputError(f"bag {path}: expected MCAP or sqlite3, got {error}") from error
+        if self._reader.message_count == 0:
+            self._stack.close()
+            raise InvalidInputError(f"bag {path}: expected messages, got none")
+
+    def __enter__(self) -> "Bag":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._stack.close()
+
+    @property
+    def connections(self) -> list[Any]:
+        """Topics with their types."""
+        return list(self._reader.connections)
+
+    @property
+    def message_count(self) -> int:
+        """Number of messages of all topics."""
+        return int(self._reader.message_count)
+
+    @property
+    def start_ns(self) -> int:
+        """When the first message was recorded, nanoseconds."""
+        return int(self._reader.start_time)
+
+    @property
+    def duration_ns(self) -> int:
+        """Time from the first to the last message, nanoseconds."""
+        return int(self._reader.duration)
+
+    def messages(self) -> Iterator[tuple[Any, int, bytes]]:
+        """Yield connection, time of recording (nanoseconds) and serialised message, in order of time."""
+        for connection, recorded_ns, data in self._reader.messages():
+            yield connection, recorded_ns, bytes(data)
+
+
+def message_type(name: str) -> Any:
+    """Return the message class of a name such as `sensor_msgs/msg/PointCloud2`.
+
+    Raises
+    ------
+    InvalidInputError
+        If no such type is installed.
+    """
+    package, _, kind = name.partition("/msg/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), kind)
+    except (ImportError, AttributeError):
+        raise InvalidInputError(f"expected an installed message type, got {name}") from None
+
+
+def begins_with_header(kind: Any) -> bool:
+    """Say whether messages of a class begin with a std_msgs/Header."""
+    fields = list(kind.get_fields_and_field_types().values())
+    return bool(fields) and fields[0] == "std_msgs/Header"
+
+
+def qos_of(connection: Any, depth: int) -> QoSProfile:
+    """Return the recorded reliability and durability of a topic; reliable and volatile where none is recorded."""
+    profile = QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
+    recorded = connection.ext.offered_qos_profiles
+    if recorded and recorded[0].reliability == QosReliability.BEST_EFFORT:
+        profile.reliability = ReliabilityPolicy.BEST_EFFORT
+    if recorded and recorded[0].durability == QosDurability.TRANSIENT_LOCAL:
+        profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    return profile

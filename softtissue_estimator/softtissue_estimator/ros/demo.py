@@ -1,0 +1,233 @@
+"""`make demo`: node, replay and score as processes of their own on the bundled phantom; report and picture."""
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO
+
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.errors import InvalidInputError, SoftTissueError
+from softtissue_estimator.resources import bundled_bag, bundled_checkpoint, bundled_organ
+from softtissue_estimator.ros.scoring import failures, table
+
+PACKAGE = "softtissue_estimator"
+# Preparing an organ for the first time takes up to minutes on a busy machine; afterwards it is cached.
+START_TIMEOUT_S = 300
+SCORE_TIMEOUT_S = 60.0
+STOP_TIMEOUT_S = 8.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is replayed, with what, and where the results go."""
+
+    bag: Path
+    organ: Path
+    estimators: tuple[str, ...]
+    rate: float
+    out: Path
+
+
+def parse(arguments: list[str]) -> Options:
+    """Read the command line; the first estimator is the one whose figures count."""
+    parser = argparse.ArgumentParser(prog="demo", description=__doc__)
+    parser.add_argument("--bag", type=Path, help="bag to replay (default: the bundled phantom)")
+    parser.add_argument("--organ", type=Path, help="organ folder (default: the bundled phantom liver)")
+    parser.add_argument(
+        "--estimator", action="append", help="estimator to run, may be repeated (default: all that can run)"
+    )
+    parser.add_argument("--rate", type=float, default=1.0, help="multiple of the recorded rate (default 1)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/demo"), help="folder of the results (default out/demo)"
+    )
+    given = parser.parse_args(arguments)
+    return Options(
+        bag=given.bag or bundled_bag(),
+        organ=given.organ or bundled_organ(),
+        estimators=tuple(given.estimator or available_estimators()),
+        rate=given.rate,
+        out=given.out,
+    )
+
+
+def available_estimators() -> list[str]:
+    """Return the default estimator, then the others that have what they need."""
+    default = EstimatorConfig().estimator
+    try:
+        bundled_checkpoint()
+        others = ["elastic", "paper"]
+    except InvalidInputError:
+        others = ["elastic"]
+    return [default, *(name for name in others if name != default)]
+
+
+def executable(name: str) -> Path:
+    """Find an installed executable as `ros2 run` does."""
+    from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+    try:
+        path = Path(get_package_prefix(PACKAGE)) / "lib" / PACKAGE / name
+    except PackageNotFoundError:
+        raise InvalidInputError(
+            f"package {PACKAGE}: expected it in the ament index, got nothing there"
+        ) from None
+    if not path.is_file():
+        raise InvalidInputError(f"executable {name}: expected {path}, got nothing there")
+    return path
+
+
+@contextmanager
+def process(command: list[str], **keywords: Any) -> Iterator["subprocess.Popen[str]"]:
+    """Run a process in a group of its own and end the group afterwards."""
+    child = subprocess.Popen(command, start_new_session=True, text=True, **keywords)
+    try:
+        yield child
+    finally:
+        _end(child)
+
+
+def _end(child: "subprocess.Popen[str]") -> None:
+    for number, patience in ((signal.SIGINT, STOP_TIMEOUT_S), (signal.SIGKILL, STOP_TIMEOUT_S)):
+        if child.poll() is None:
+            os.killpg(child.pid, number)
+        try:
+            child.wait(patience)
+            return
+        except subprocess.TimeoutExpired:
+            continue
+
+
+def _relay(stream: TextIO, log: Path) -> None:
+    """Write a process's lines to a file, and to the terminal those that say how it goes on."""
+    with log.open("w", encoding="utf-8") as file:
+        for line in stream:
+            file.write(line)
+            file.flush()
+            # Warnings come with every late frame; the table counts them.
+            if "[WARN]" not in line:
+                print(f"  node: {line.rstrip()}", flush=True)
+
+
+def run_estimator(estimator: str, options: Options) -> dict[str, Any]:
+    """Replay the bag into a node with one estimator; return the report of the score.
+
+    Raises
+    ------
+    SoftTissueError
+        If a process failed before there was a report.
+    """
+    folder = options.out / estimator
+    folder.mkdir(parents=True)
+    report = folder / "report.json"
+    node = [
+        str(executable("node")),
+        "--ros-args",
+        "-p",
+        f"estimator:={estimator}",
+        "-p",
+        f"organ:={options.organ}",
+    ]
+    score = [str(executable("score")), "--report", str(report), "--answers", str(folder / "answers.npz")]
+    replay = [str(executable("replay")), str(options.bag), "--rate", str(options.rate), "--subscribers", "2"]
+    replay += ["--timeout", str(START_TIMEOUT_S), "--report", str(folder / "replay.json")]
+    with (
+        process(node, stderr=subprocess.PIPE) as node_process,
+        process([*score, "--title", f"estimator {estimator}"], stdout=subprocess.DEVNULL) as score_process,
+        process(replay) as replay_process,
+    ):
+        threading.Thread(
+            target=_relay, args=(node_process.stderr, folder / "node.log"), name="relay", daemon=True
+        ).start()
+        _wait_for_replay(node_process, replay_process)
+        if score_process.poll() is None:
+            try:
+                score_process.wait(SCORE_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                raise SoftTissueError(
+                    f"score: expected an end within {SCORE_TIMEOUT_S:g} s, got none"
+                ) from None
+        if node_process.poll() is not None:
+            raise SoftTissueError(
+                f"node: expected it to run to the end, got exit code {node_process.returncode}"
+            )
+    if not report.is_file():
+        raise SoftTissueError(f"score: expected a report, got exit code {score_process.returncode} and none")
+    return _checked(json.loads(report.read_text()), json.loads((folder / "replay.json").read_text()))
+
+
+def _wait_for_replay(node: "subprocess.Popen[str]", replay: "subprocess.Popen[str]") -> None:
+    while replay.poll() is None:
+        if node.poll() is not None:
+            raise SoftTissueError(f"node: expected it to run, got exit code {node.returncode}")
+        time.sleep(0.1)
+    if replay.returncode != 0:
+        raise SoftTissueError(f"replay: expected exit code 0, got {replay.returncode}")
+
+
+def _checked(report: dict[str, Any], replayed: dict[str, Any]) -> dict[str, Any]:
+    """Take the number of clouds sent from who sent them, not from who heard them."""
+    frames = report["frames"]
+    sent = replayed["sent"].get("/surface_points", 0)
+    frames["unaccounted"] += sent - frames["sent"]
+    frames["sent"] = sent
+    return report
+
+
+def run(options: Options) -> int:
+    """Run every estimator, write report and picture; return the exit code."""
+    shutil.rmtree(options.out, ignore_errors=True)
+    options.out.mkdir(parents=True)
+    reports = {}
+    for estimator in options.estimators:
+        print(f"==> {estimator}: starting node, replay and score", flush=True)
+        reports[estimator] = run_estimator(estimator, options)
+    default = options.estimators[0]
+    summary = {"estimator": default, **reports[default], "estimators": reports}
+    (options.out / "report.json").write_text(json.dumps(summary, indent=2) + "\n")
+    print()
+    for estimator, report in reports.items():
+        print(table(report, f"estimator {estimator}{' (default)' if estimator == default else ''}"))
+        print()
+    print(f"report {options.out / 'report.json'}   picture {options.out / 'phantom.png'}")
+    return _judge(default, reports)
+
+
+def _judge(default: str, reports: dict[str, dict[str, Any]]) -> int:
+    """Print what is wrong; frames count for every estimator, the error for the default one."""
+    code = 0
+    for estimator, report in reports.items():
+        for sentence in failures(report):
+            counts = estimator == default or sentence.startswith("frames")
+            print(f"{'error' if counts else 'note'}: estimator {estimator}: {sentence}", file=sys.stderr)
+            code = 1 if counts else code
+    return code
+
+
+def main() -> None:
+    """Run the executable."""
+    # SIGTERM ends like SIGINT, so that the processes started here are ended too.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        code = run(parse(sys.argv[1:]))
+    except SoftTissueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        code = 1
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        code = 130
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

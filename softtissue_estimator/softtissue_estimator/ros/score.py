@@ -1,0 +1,171 @@
+"""Executable `score`: listens to a replayed bag and the node's answers, and prints frames, latency and TRE."""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softtissue_estimator.ros.runtime import Spinner, StopRequest
+from softtissue_estimator.ros.scoring import Record, failures, make_report, table
+
+FloatArray = NDArray[np.float64]
+
+QUEUE = 200
+# After this long without anything new, frames that are still open will not be answered any more, s.
+SETTLE_S = 10.0
+
+
+def parse(arguments: list[str]) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(
+        prog="score",
+        description="Listen to surface_points, markers_truth and the node's answers until the clouds' publisher"
+        " is gone; print the table. Exit code 1 if clouds went unanswered uncounted or the error did not fall.",
+    )
+    parser.add_argument(
+        "--node", default="softtissue_estimator", help="name of the node (default softtissue_estimator)"
+    )
+    parser.add_argument("--report", type=Path, help="write the figures to this JSON file")
+    parser.add_argument(
+        "--answers", type=Path, help="write stamps and positions of the answers to this .npz file"
+    )
+    parser.add_argument("--title", default="score", help="heading of the table")
+    return parser.parse_args(arguments)
+
+
+class Listener:
+    """Subscriptions and the client of `~/warp_points`; callbacks run in the spinning thread.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    name : str
+        Name of the node under test.
+    keep_answers : bool
+        Whether to keep the positions of every answer.
+    """
+
+    def __init__(self, node: Any, name: str, keep_answers: bool) -> None:
+        from rclpy.qos import QoSProfile
+        from sensor_msgs.msg import PointCloud2
+        from softtissue_msgs.msg import EstimatorStatus
+        from softtissue_msgs.srv import WarpPoints
+
+        self.record = Record()
+        self.answers: dict[int, FloatArray] = {}
+        self.last_news_s = time.monotonic()
+        self.problem: str | None = None
+        self._keep_answers = keep_answers
+        self._node, self._request = node, WarpPoints.Request
+        self._client = node.create_client(WarpPoints, f"{name}/warp_points")
+        qos = QoSProfile(depth=QUEUE)
+        node.create_subscription(EstimatorStatus, f"{name}/status", self._on_status, qos)
+        node.create_subscription(PointCloud2, f"{name}/deformed_points", self._on_answer, qos)
+        node.create_subscription(PointCloud2, "markers_truth", self._on_truth, qos)
+        # Only the time of publication is of interest, so the cloud is not deserialised.
+        self._clouds = node.create_subscription(PointCloud2, "surface_points", self._on_cloud, qos, raw=True)
+
+    def finished(self) -> bool:
+        """Say whether the clouds' publisher is gone and nothing more will come."""
+        if not self.record.sent_ns or self._node.count_publishers(self._clouds.topic_name) > 0:
+            return False
+        quiet = time.monotonic() - self.last_news_s
+        return quiet > (1.0 if self.record.unaccounted == 0 else SETTLE_S)
+
+    def _on_cloud(self, data: bytes, info: dict[str, Any]) -> None:
+        from softtissue_estimator.ros.serialised import read_stamp
+
+        self.last_news_s = time.monotonic()
+        self.record.sent_ns[read_stamp(data)] = int(info["source_timestamp"])
+
+    def _on_answer(self, message: Any) -> None:
+        from softtissue_estimator.ros.conversions import doubles, read_cloud, stamp_ns
+
+        now = time.time_ns()
+        self.last_news_s = time.monotonic()
+        stamp = stamp_ns(message.header.stamp)
+        self.record.answered_ns[stamp] = now
+        if self._keep_answers and message.width:
+            self.answers[stamp] = read_cloud(message).points
+        if self.record.reference is not None and self._client.service_is_ready():
+            request = self._request(points=doubles(self.record.reference))
+            self._client.call_async(request).add_done_callback(self._on_warped)
+
+    def _on_warped(self, future: Any) -> None:
+        from softtissue_estimator.ros.conversions import stamp_ns
+
+        response = future.result()
+        self.last_news_s = time.monotonic()
+        if response is None or response.result != response.SUCCESS:
+            return
+        # The stamp says which cloud the estimate was made from, whichever answer prompted the question.
+        self.record.estimate[stamp_ns(response.header.stamp)] = np.asarray(response.points).reshape(-1, 3)
+
+    def _on_truth(self, message: Any) -> None:
+        from softtissue_estimator.errors import InvalidInputError
+        from softtissue_estimator.ros.conversions import read_cloud
+
+        try:
+            cloud = read_cloud(message)
+        except InvalidInputError as error:
+            self.problem = f"markers_truth: {error}"
+            return
+        if cloud.reference is None:
+            self.problem = "markers_truth: expected fields ref_x ref_y ref_z, got none of them"
+            return
+        self.record.reference = cloud.reference
+        self.record.truth[cloud.stamp_ns] = cloud.points
+
+    def _on_status(self, message: Any) -> None:
+        self.last_news_s = time.monotonic()
+        self.record.dropped, self.record.refused = int(message.frames_dropped), int(message.frames_refused)
+
+
+def run(options: argparse.Namespace, stop: StopRequest) -> int:
+    """Listen and print; return the exit code."""
+    import rclpy
+
+    node = rclpy.create_node("score")
+    listener = Listener(node, options.node, options.answers is not None)
+    spinner = Spinner(node, lambda error: stop.stop(1))
+    while not stop.event.wait(0.1) and not listener.finished():
+        pass
+    spinner.stop(2.0)
+    node.destroy_node()
+    report = make_report(listener.record)
+    print(table(report, options.title), flush=True)
+    if options.report is not None:
+        options.report.write_text(json.dumps(report, indent=2) + "\n")
+    if options.answers is not None and listener.answers:
+        stamps = sorted(listener.answers)
+        np.savez(options.answers, stamps=stamps, positions=np.stack([listener.answers[s] for s in stamps]))
+    problems = failures(report) + ([listener.problem] if listener.problem else [])
+    for problem in problems:
+        print(f"error: {problem}", file=sys.stderr)
+    return stop.exit_code or (1 if problems else 0)
+
+
+def main() -> None:
+    """Run the executable."""
+    stop = StopRequest()
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+    from rclpy.utilities import remove_ros_args
+
+    from softtissue_estimator.ros.transport import use_profile
+
+    options = parse(remove_ros_args(sys.argv)[1:])
+    use_profile()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    code = run(options, stop)
+    rclpy.try_shutdown()
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,159 @@
+"""Arithmetic of the score: which frames were answered, how fast, and how far off the markers are. Knows no ROS."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+# A frame says something about the target registration error only while the markers have moved.
+DISPLACED_M = 0.005
+
+
+@dataclass
+class Record:
+    """What was heard of a run, by the stamp of the cloud (nanoseconds).
+
+    Attributes
+    ----------
+    sent_ns, answered_ns : dict
+        When a cloud was published and when its answer was received, system clock, nanoseconds.
+    truth : dict
+        True positions of the markers, (k, 3) m, organ frame.
+    estimate : dict
+        Estimated positions of the markers, (k, 3) m, organ frame.
+    reference : (k, 3) float64 or None
+        Preoperative positions of the markers, m, organ frame.
+    dropped, refused : int
+        As the node counted them.
+    """
+
+    sent_ns: dict[int, int] = field(default_factory=dict)
+    answered_ns: dict[int, int] = field(default_factory=dict)
+    truth: dict[int, FloatArray] = field(default_factory=dict)
+    estimate: dict[int, FloatArray] = field(default_factory=dict)
+    reference: FloatArray | None = None
+    dropped: int = 0
+    refused: int = 0
+
+    @property
+    def answered(self) -> int:
+        """Number of clouds answered."""
+        return len(self.sent_ns.keys() & self.answered_ns.keys())
+
+    @property
+    def unaccounted(self) -> int:
+        """Number of clouds neither answered nor counted by the node."""
+        return len(self.sent_ns) - self.answered - self.dropped - self.refused
+
+
+def latency_ms(record: Record) -> dict[str, float]:
+    """Return p50, p95 and max of the time from publishing a cloud to receiving its answer, ms."""
+    both = record.sent_ns.keys() & record.answered_ns.keys()
+    values = [1e-6 * (record.answered_ns[stamp] - record.sent_ns[stamp]) for stamp in both]
+    if not values:
+        return {}
+    return {
+        "p50": float(np.percentile(values, 50)),
+        "p95": float(np.percentile(values, 95)),
+        "max": float(np.max(values)),
+    }
+
+
+def target_registration_error_mm(record: Record) -> dict[str, Any]:
+    """Return the target registration error before and after the estimate, mm.
+
+    Before: a marker is taken to be where it was when the organ was scanned (after the rigid registration).
+    `before` and `after` are means and maxima over markers and over the scored frames whose markers have moved
+    `DISPLACED_M` on average; `peak` speaks of the scored frame in which they have moved most; `markers` has one
+    entry a marker. Empty if no frame could be scored.
+    """
+    reference = record.reference
+    stamps = sorted(record.truth.keys() & record.estimate.keys())
+    if reference is None or not stamps:
+        return {}
+    before = 1e3 * np.stack([np.linalg.norm(record.truth[s] - reference, axis=1) for s in stamps])
+    after = 1e3 * np.stack([np.linalg.norm(record.truth[s] - record.estimate[s], axis=1) for s in stamps])
+    moved = before.mean(axis=1) >= 1e3 * DISPLACED_M
+    if not moved.any():
+        return {"scored_frames": len(stamps), "displaced_frames": 0}
+    peak = int(before.mean(axis=1).argmax())
+    return {
+        "scored_frames": len(stamps),
+        "displaced_frames": int(moved.sum()),
+        "before": _summary(before[moved]),
+        "after": _summary(after[moved]),
+        "peak": {"stamp_ns": stamps[peak], "before": _summary(before[peak]), "after": _summary(after[peak])},
+        "markers": [
+            {"before": _summary(before[moved, marker]), "after": _summary(after[moved, marker])}
+            for marker in range(before.shape[1])
+        ],
+    }
+
+
+def _summary(errors: FloatArray) -> dict[str, float]:
+    return {"mean": float(errors.mean()), "max": float(errors.max())}
+
+
+def make_report(record: Record) -> dict[str, Any]:
+    """Return all figures of a run, ready for JSON."""
+    return {
+        "frames": {
+            "sent": len(record.sent_ns),
+            "answered": record.answered,
+            "dropped": record.dropped,
+            "refused": record.refused,
+            "unaccounted": record.unaccounted,
+        },
+        "latency_ms": latency_ms(record),
+        "tre_mm": target_registration_error_mm(record),
+    }
+
+
+def failures(report: dict[str, Any]) -> list[str]:
+    """Say in sentences what is wrong with a run."""
+    found = []
+    frames, errors = report["frames"], report["tre_mm"]
+    if frames["sent"] == 0:
+        found.append("frames: expected some clouds, got none")
+    if frames["unaccounted"] != 0:
+        found.append(
+            f"frames: expected {frames['sent']} answered, dropped or refused, got"
+            f" {frames['answered']} + {frames['dropped']} + {frames['refused']}"
+        )
+    if "after" in errors and not errors["after"]["mean"] < errors["before"]["mean"]:
+        found.append(
+            f"target registration error: expected less than {errors['before']['mean']:.1f} mm,"
+            f" got {errors['after']['mean']:.1f} mm"
+        )
+    return found
+
+
+def table(report: dict[str, Any], title: str) -> str:
+    """Return the figures of a run as text."""
+    frames, latency, errors = report["frames"], report["latency_ms"], report["tre_mm"]
+    lines = [
+        title,
+        f"  frames   sent {frames['sent']}   answered {frames['answered']}   dropped {frames['dropped']}"
+        f"   refused {frames['refused']}   unaccounted for {frames['unaccounted']}",
+    ]
+    if latency:
+        lines.append(
+            f"  latency  p50 {latency['p50']:.1f} ms   p95 {latency['p95']:.1f} ms   max {latency['max']:.1f} ms"
+            "   (cloud published to answer received)"
+        )
+    if "after" in errors:
+        lines.append(
+            f"  TRE (mm) over {errors['displaced_frames']} frames with displaced markers"
+            f" ({errors['scored_frames']} scored)"
+        )
+        lines.append(f"  {'':12}{'before mean':>12}{'max':>8}{'after mean':>13}{'max':>8}")
+        rows = [(f"marker {n + 1}", entry) for n, entry in enumerate(errors["markers"])]
+        for name, entry in [*rows, ("all", errors), ("peak frame", errors["peak"])]:
+            before, after = entry["before"], entry["after"]
+            lines.append(
+                f"  {name:12}{before['mean']:12.1f}{before['max']:8.1f}{after['mean']:13.1f}{after['max']:8.1f}"
+            )
+    return "\n".join(lines)

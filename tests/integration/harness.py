@@ -1,0 +1,309 @@
+"""Real processes and real DDS for the tests: start the installed node, talk to it, wait on conditions."""
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import rclpy
+import trimesh
+from ament_index_python.packages import get_package_prefix
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import TransformStamped
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import PointCloud2, PointField
+from softtissue_msgs.msg import Correspondences, EstimatorStatus
+
+from softtissue_estimator.organ import load_organ
+from softtissue_estimator.ros.transport import use_profile
+
+_domains = itertools.count(7 * os.getpid())
+
+ORGAN_YAML = """
+name: Test organ
+frame: organ
+unit: {unit}
+surface: surface.ply
+structures:
+  - {{name: tumour, kind: tumour, mesh: tumour.ply, colour: [0.9, 0.8, 0.2]}}
+  - {{name: vessel, kind: vessel, mesh: vessel.ply, colour: [0.2, 0.3, 0.9]}}
+attached:
+  spheres: [{{centre: [-60, 0, 0], radius: 35}}]
+"""
+
+
+def new_domain() -> int:
+    """A ROS domain for one test, 1 to 100."""
+    return next(_domains) % 100 + 1
+
+
+def executable(name: str) -> Path:
+    """What `ros2 run softtissue_estimator NAME` starts."""
+    return Path(get_package_prefix("softtissue_estimator")) / "lib" / "softtissue_estimator" / name
+
+
+def write_organ(folder: Path, unit: str = "mm", scale: float = 1.0) -> Path:
+    """A small organ: an ellipsoid of 60 x 45 x 40 mm half-axes with a tumour and a vessel, held at -x."""
+    folder.mkdir(parents=True, exist_ok=True)
+    surface = trimesh.creation.icosphere(subdivisions=3)
+    surface.vertices *= np.array([60.0, 45.0, 40.0]) * scale
+    surface.export(folder / "surface.ply")
+    tumour = trimesh.creation.icosphere(subdivisions=2, radius=8.0 * scale)
+    tumour.apply_translation(np.array([20.0, 5.0, 8.0]) * scale)
+    tumour.export(folder / "tumour.ply")
+    vessel = trimesh.creation.cylinder(radius=3.0 * scale, height=60.0 * scale, sections=12)
+    vessel.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0, 1, 0]))
+    vessel.export(folder / "vessel.ply")
+    (folder / "organ.yaml").write_text(ORGAN_YAML.format(unit=unit))
+    return folder
+
+
+class NodeProcess:
+    """The node (or another program) as a process of its own.
+
+    `SOFTTISSUE` programs log to stderr, which goes to `log`.
+    """
+
+    def __init__(self, domain: int, folder: Path, parameters: dict, program=None, remap=()):
+        self.log = folder / "node.log"
+        command = [str(part) for part in (program or [executable("node")])]
+        command += ["--ros-args"]
+        for name, value in parameters.items():
+            command += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
+        for rule in remap:
+            command += ["-r", rule]
+        environment = os.environ | {
+            "ROS_DOMAIN_ID": str(domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "OMP_NUM_THREADS": "1",
+            "PYTHONUNBUFFERED": "1",
+        }
+        # A shell's background jobs ignore SIGINT, and children inherit that: give them Python's default back.
+        self._file = self.log.open("w")
+        self.process = subprocess.Popen(
+            command, stdout=self._file, stderr=self._file, env=environment, start_new_session=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        )  # fmt: skip
+
+    @property
+    def text(self) -> str:
+        return self.log.read_text()
+
+    def wait_for_text(self, text: str, timeout: float = 60.0) -> None:
+        end = time.monotonic() + timeout
+        while text not in self.text:
+            assert self.process.poll() is None, f"exit code {self.process.returncode}:\n{self.text}"
+            assert time.monotonic() < end, f"no {text!r} within {timeout} s:\n{self.text}"
+            time.sleep(0.05)
+
+    def send(self, number: int) -> None:
+        os.killpg(self.process.pid, number)
+
+    def stop(self, number: int = signal.SIGINT, timeout: float = 20.0) -> int:
+        """Send a signal and return the exit code."""
+        self.send(number)
+        return self.wait(timeout)
+
+    def wait(self, timeout: float = 60.0) -> int:
+        return self.process.wait(timeout)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait(10)
+        self._file.close()
+        if exception[0] is not None:
+            sys.stderr.write(f"--- {self.log}\n{self.text}\n")
+
+
+class Client:
+    """A plain rclpy program that publishes clouds and hears the answers."""
+
+    def __init__(self, domain: int, name: str = "softtissue_estimator"):
+        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        use_profile()
+        self.context = Context()
+        rclpy.init(
+            args=[], context=self.context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO
+        )
+        self.node = rclpy.create_node("test_client", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.name = name
+        self.answers: list[PointCloud2] = []
+        self.statuses: list[EstimatorStatus] = []
+        qos = QoSProfile(depth=100)
+        self.node.create_subscription(PointCloud2, f"{name}/deformed_points", self.answers.append, qos)
+        self.node.create_subscription(EstimatorStatus, f"{name}/status", self.statuses.append, qos)
+        self.clouds = self.node.create_publisher(PointCloud2, "surface_points", 10)
+        self.pairs = self.node.create_publisher(Correspondences, "correspondences", 10)
+        self.registrations = self.node.create_publisher(TransformStamped, "registration", 10)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+    def spin(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            self.executor.spin_once(timeout_sec=left)
+
+    def wait(self, condition, what: str, timeout: float = 30.0):
+        """Spin until the condition holds, and return its value."""
+        end = time.monotonic() + timeout
+        while not (value := condition()):
+            newest = self.statuses[-1] if self.statuses else None
+            assert time.monotonic() < end, f"no {what} within {timeout} s; newest status: {newest}"
+            self.executor.spin_once(timeout_sec=0.05)
+        return value
+
+    def wait_until_connected(self, timeout: float = 60.0) -> None:
+        """Wait until the node answers clouds: it subscribes when it is active."""
+
+        def connected() -> bool:
+            return (
+                self.clouds.get_subscription_count() >= 1
+                and self.pairs.get_subscription_count() >= 1
+                and self.registrations.get_subscription_count() >= 1
+                and self.node.count_publishers(f"{self.name}/status") >= 1
+                and self.node.count_publishers(f"{self.name}/deformed_points") >= 1
+            )
+
+        self.wait(connected, "active node", timeout)
+        self.spin(0.2)  # the node's side of the match
+
+    def call(self, kind, service: str, request, timeout: float = 60.0):
+        client = self.node.create_client(kind, f"{self.name}/{service}")
+        self.wait(client.service_is_ready, f"service {service}", timeout)
+        future = client.call_async(request)
+        self.wait(future.done, f"response of {service}", timeout)
+        self.node.destroy_client(client)
+        return future.result()
+
+    def status_of(self, stamp: int, timeout: float = 30.0) -> EstimatorStatus:
+        """Status of the cloud with a stamp (nanoseconds)."""
+
+        def found():
+            return next((s for s in self.statuses if nanoseconds(s.header.stamp) == stamp), None)
+
+        return self.wait(found, f"status of stamp {stamp}", timeout)
+
+    def answer_of(self, stamp: int, timeout: float = 30.0) -> PointCloud2:
+        def found():
+            return next((a for a in self.answers if nanoseconds(a.header.stamp) == stamp), None)
+
+        return self.wait(found, f"answer to stamp {stamp}", timeout)
+
+
+def nanoseconds(stamp: Time) -> int:
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
+
+
+def stamp_message(stamp: int) -> Time:
+    return Time(sec=stamp // 1_000_000_000, nanosec=stamp % 1_000_000_000)
+
+
+class Scene:
+    """What a camera sees of the bent test organ: +x half of its surface, moved towards -z."""
+
+    def __init__(self, folder: Path, points: int = 600, seed: int = 0):
+        self.organ = load_organ(folder)
+        rng = np.random.default_rng(seed)
+        mesh = self.organ.surface
+        faces = mesh.faces[(mesh.vertices[mesh.faces].mean(axis=1) > [0.0, -1.0, 0.0]).all(axis=1)]
+        chosen = faces[rng.integers(len(faces), size=points)]
+        weights = rng.dirichlet([1.0, 1.0, 1.0], size=points)
+        self.reference = np.einsum("nc,ncd->nd", weights, mesh.vertices[chosen])
+        self.points = self.reference + self.bend(self.reference)
+
+    @staticmethod
+    def bend(points):
+        """Displacement (n, 3) in metres: none at the attached end, 12 mm towards -z at the other."""
+        moved = np.zeros_like(points)
+        moved[:, 2] = -0.012 * ((points[:, 0] + 0.06) / 0.12) ** 2
+        return moved
+
+    def cloud(self, stamp: int, frame: str = "organ", points=None) -> PointCloud2:
+        """Cloud with its correspondences in fields of its own."""
+        points = self.points if points is None else points
+        return cloud_message(
+            np.hstack([points, self.reference]), ["x", "y", "z", "ref_x", "ref_y", "ref_z"], stamp, frame
+        )
+
+    def bare_cloud(self, stamp: int, frame: str = "organ", points=None) -> PointCloud2:
+        """Cloud as a camera sends it: x y z and four bytes of padding a point."""
+        points = self.points if points is None else points
+        return cloud_message(points, ["x", "y", "z"], stamp, frame, point_step=16)
+
+    def pairs(self, stamp: int, **changes) -> Correspondences:
+        message = Correspondences()
+        message.header.frame_id = "organ"
+        message.header.stamp = stamp_message(stamp)
+        message.reference = self.reference.astype(np.float32).ravel().tolist()
+        for name, value in changes.items():
+            setattr(message, name, value)
+        return message
+
+
+def cloud_message(columns, names, stamp: int, frame: str, point_step: int | None = None) -> PointCloud2:
+    """A little-endian float32 cloud with fields side by side."""
+    step = point_step or 4 * len(names)
+    data = np.zeros((len(columns), step), dtype=np.uint8)
+    packed = np.ascontiguousarray(columns, dtype="<f4")
+    data[:, : 4 * len(names)] = packed.view(np.uint8).reshape(len(columns), 4 * len(names))
+    message = PointCloud2(height=1, width=len(columns), point_step=step, row_step=step * len(columns))
+    message.header.frame_id = frame
+    message.header.stamp = stamp_message(stamp)
+    message.fields = [PointField(name=n, offset=4 * i, datatype=7, count=1) for i, n in enumerate(names)]
+    message.is_dense = True
+    message.data = data.tobytes()
+    return message
+
+
+ANSWER_TYPE = np.dtype(
+    [(n, "<f4") for n in ("x", "y", "z", "dx", "dy", "dz")] + [("structure", "<u4"), ("sigma", "<f4")]
+)
+
+
+def read_answer(message: PointCloud2) -> np.ndarray:
+    """Records of `~/deformed_points`, read by the layout that the message itself states."""
+    kinds = {7: "<f4", 6: "<u4"}
+    layout = np.dtype(
+        {
+            "names": [f.name for f in message.fields],
+            "formats": [kinds[f.datatype] for f in message.fields],
+            "offsets": [f.offset for f in message.fields],
+            "itemsize": message.point_step,
+        }
+    )
+    return np.frombuffer(bytes(message.data), dtype=layout)
+
+
+CAMERA_FROM_ORGAN = np.eye(4)
+CAMERA_FROM_ORGAN[:3, :3] = Rotation.from_euler("xyz", [20.0, -35.0, 110.0], degrees=True).as_matrix()
+CAMERA_FROM_ORGAN[:3, 3] = [0.05, -0.12, 0.30]
+
+
+def registration_message(motion, parent: str = "camera", child: str = "organ") -> TransformStamped:
+    message = TransformStamped(child_frame_id=child)
+    message.header.frame_id = parent
+    quaternion = Rotation.from_matrix(motion[:3, :3]).as_quat()
+    rotation, translation = message.transform.rotation, message.transform.translation
+    rotation.x, rotation.y, rotation.z, rotation.w = (float(value) for value in quaternion)
+    translation.x, translation.y, translation.z = (float(value) for value in motion[:3, 3])
+    return message
