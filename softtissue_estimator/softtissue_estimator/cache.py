@@ -65,13 +65,14 @@ def cached_arrays(
 
 def _read(path: Path, key: str) -> Arrays | None:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            if str(file[_KEY]) != key:
+        # Opened here, because NumPy leaves a damaged file open.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            if str(arrays[_KEY]) != key:
                 return None
-            return {name: file[name] for name in file.files if name != _KEY}
+            return {name: arrays[name] for name in arrays.files if name != _KEY}
     except FileNotFoundError:
         return None
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
         _log.warning("cached file %s cannot be read (%s) and is computed again", path, error)
         return None
 

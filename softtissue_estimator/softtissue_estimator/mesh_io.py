@@ -120,7 +120,7 @@ def _read_with_vtk(path: Path) -> tuple[FloatArray, IntArray, IntArray]:
 
 def _vtk_data(path: Path) -> Any:
     """Read a data set; VTK prints errors instead of raising them, so they are taken from where it prints."""
-    from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
+    from vtkmodules.vtkCommonCore import vtkLogger, vtkOutputWindow, vtkStringOutputWindow
     from vtkmodules.vtkIOLegacy import vtkDataSetReader
     from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLUnstructuredGridReader
 
@@ -128,18 +128,19 @@ def _vtk_data(path: Path) -> Any:
     reader: Any = readers[path.suffix.lower()]()
     previous, capture = vtkOutputWindow.GetInstance(), vtkStringOutputWindow()
     vtkOutputWindow.SetInstance(capture)
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
     try:
         reader.SetFileName(str(path))
         reader.Update()
         data = reader.GetOutput()
     finally:
         vtkOutputWindow.SetInstance(previous)
+        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_INFO)
     printed = capture.GetOutput()
     if "ERR" in printed.upper() or not hasattr(data, "GetPoints") or data.GetNumberOfPoints() == 0:
-        detail = f" ({' '.join(printed.split())[:200]})" if printed else ""
+        _log.debug("VTK about %s: %s", path, printed)
         raise MeshError(
-            f"mesh {path}: expected PolyData or UnstructuredGrid with points, got a file that cannot be read as "
-            f"such{detail}"
+            f"mesh {path}: expected PolyData or UnstructuredGrid with points, got a file that VTK cannot read as such"
         )
     return data
 

@@ -1,0 +1,379 @@
+"""Organ folders as users have them, and what is said about mistakes in them."""
+
+import builtins
+import logging
+import time
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+
+from estimator.shapes import ellipsoid, rotation, sphere
+from softtissue_estimator.errors import MeshError, OrganError
+from softtissue_estimator.mesh import SurfaceMesh, enclosed_volume
+from softtissue_estimator.organ import Organ, Structure, load_organ, make_organ
+
+LIVER = ellipsoid((0.09, 0.06, 0.05), subdivisions=3)
+TUMOUR = sphere(0.01, centre=(0.03, 0.0, 0.0), subdivisions=2)
+VEIN = sphere(0.008, centre=(0.095, 0.0, 0.0), subdivisions=2)
+TIP = {"spheres": [{"centre": [90, 0, 0], "radius": 25}]}
+
+
+def export(mesh, path, scale=1000.0):
+    trimesh.Trimesh(mesh.vertices * scale, mesh.faces, process=False).export(path)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    export(LIVER, tmp_path / "liver.ply")
+    export(TUMOUR, tmp_path / "tumour.ply")
+    export(VEIN, tmp_path / "vein.ply")
+    return tmp_path
+
+
+def describe(folder, **changes):
+    content = {
+        "name": "Liver",
+        "frame": "scan",
+        "unit": "mm",
+        "surface": "liver.ply",
+        "structures": [{"name": "tumour", "kind": "tumour", "mesh": "tumour.ply", "colour": [1, 0.5, 0]}],
+        "attached": TIP,
+    }
+    content = {key: value for key, value in {**content, **changes}.items() if value is not None}
+    (folder / "organ.yaml").write_text(yaml.safe_dump(content))
+    return folder
+
+
+def test_everything_is_read_and_in_metres(folder):
+    organ = load_organ(describe(folder))
+    assert (organ.name, organ.frame, organ.folder) == ("Liver", "scan", folder)
+    np.testing.assert_allclose(organ.surface.vertices, LIVER.vertices, atol=1e-8)
+    np.testing.assert_array_equal(organ.surface.faces, LIVER.faces)
+    assert (organ.structures[0].name, organ.structures[0].kind) == ("tumour", "tumour")
+    assert organ.structures[0].colour == (1.0, 0.5, 0.0, 1.0)
+    np.testing.assert_allclose(organ.structure_points, TUMOUR.vertices, atol=1e-8)
+    within = np.linalg.norm(LIVER.vertices - [0.09, 0.0, 0.0], axis=1) <= 0.025
+    np.testing.assert_array_equal(organ.attached, within)
+
+
+def test_metres_are_metres(folder):
+    export(LIVER, folder / "liver.ply", scale=1.0)
+    organ = load_organ(
+        describe(
+            folder, unit="m", structures=[], attached={"spheres": [{"centre": [0.09, 0, 0], "radius": 0.025}]}
+        )
+    )
+    assert enclosed_volume(organ.surface) == pytest.approx(enclosed_volume(LIVER), rel=1e-5)
+    assert 0 < organ.attached.sum() < len(LIVER.vertices) / 4
+
+
+def test_query_points_are_structures_in_order_then_the_surface(folder):
+    structures = [{"name": n, "mesh": f"{n}.ply"} for n in ("vein", "tumour")]
+    organ = load_organ(describe(folder, structures=structures))
+    expected = np.concatenate([VEIN.vertices, TUMOUR.vertices, LIVER.vertices])
+    np.testing.assert_allclose(organ.query_points, expected, atol=1e-8)
+    np.testing.assert_array_equal(
+        organ.structure_index, np.repeat([0, 1], [len(VEIN.vertices), len(TUMOUR.vertices)])
+    )
+    assert organ.structure_index.dtype == np.uint32
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply"])
+def test_formats_of_trimesh_give_the_same_surface(folder, suffix):
+    export(LIVER, folder / f"liver{suffix}")
+    organ = load_organ(describe(folder, surface=f"liver{suffix}"))
+    assert len(organ.surface.vertices) == len(LIVER.vertices)
+    assert enclosed_volume(organ.surface) == pytest.approx(enclosed_volume(LIVER), rel=1e-5)
+
+
+def vtk_surface():
+    from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
+    from vtkmodules.vtkCommonCore import vtkPoints
+    from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
+
+    points, cells, data = vtkPoints(), vtkCellArray(), vtkPolyData()
+    points.SetData(numpy_to_vtk(LIVER.vertices * 1000.0, deep=True))
+    listed = np.column_stack([np.full(len(LIVER.faces), 3), LIVER.faces]).ravel()
+    cells.ImportLegacyFormat(numpy_to_vtkIdTypeArray(listed, deep=True))
+    data.SetPoints(points)
+    data.SetPolys(cells)
+    return data
+
+
+def vtk_volume():
+    """Tetrahedra from the centre to every face; the centre is stored first."""
+    from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
+    from vtkmodules.vtkCommonCore import vtkPoints
+    from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkUnstructuredGrid
+
+    points, cells, data = vtkPoints(), vtkCellArray(), vtkUnstructuredGrid()
+    points.SetData(numpy_to_vtk(np.concatenate([[[0.0, 0.0, 0.0]], LIVER.vertices * 1000.0]), deep=True))
+    tets = np.column_stack([np.full(len(LIVER.faces), 4), np.zeros(len(LIVER.faces), int), LIVER.faces + 1])
+    cells.ImportLegacyFormat(numpy_to_vtkIdTypeArray(tets.ravel(), deep=True))
+    data.SetPoints(points)
+    data.SetCells(10, cells)
+    return data
+
+
+def write_vtk(data, path, ascii_text=False):
+    from vtkmodules.vtkIOLegacy import vtkDataSetWriter
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
+
+    writer = {".vtk": vtkDataSetWriter, ".vtp": vtkXMLPolyDataWriter, ".vtu": vtkXMLUnstructuredGridWriter}[
+        path.suffix
+    ]()
+    if path.suffix == ".vtk":
+        (writer.SetFileTypeToASCII if ascii_text else writer.SetFileTypeToBinary)()
+    writer.SetFileName(str(path))
+    writer.SetInputData(data)
+    writer.Write()
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "ascii_text", "first"),
+    [
+        ("surface.vtk", vtk_surface, False, 0),
+        ("surface.vtk", vtk_surface, True, 0),
+        ("surface.vtp", vtk_surface, False, 0),
+        ("volume.vtk", vtk_volume, False, 1),
+        ("volume.vtu", vtk_volume, False, 1),
+    ],
+)
+def test_formats_of_vtk_give_the_same_surface_and_vertex_numbers(folder, name, make, ascii_text, first):
+    pytest.importorskip("vtkmodules")
+    write_vtk(make(), folder / name, ascii_text)
+    listed = [int(i) + first for i in np.flatnonzero(LIVER.vertices[:, 2] > 0.04)]
+    organ = load_organ(describe(folder, surface=name, attached={"vertices": listed}))
+    assert enclosed_volume(organ.surface) == pytest.approx(enclosed_volume(LIVER), rel=1e-5)
+    np.testing.assert_array_equal(organ.attached, organ.surface.vertices[:, 2] > 0.04)
+    assert organ.attached.sum() == len(listed)
+
+
+def test_without_vtk_the_message_names_it(folder, monkeypatch):
+    real = builtins.__import__
+
+    def missing(name, *args, **kwargs):
+        if name.startswith("vtk"):
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    (folder / "liver.vtk").write_text("# vtk DataFile Version 3.0\n")
+    monkeypatch.setattr(builtins, "__import__", missing)
+    with pytest.raises(MeshError, match="need the VTK library, which is not installed"):
+        load_organ(describe(folder, surface="liver.vtk"))
+
+
+@pytest.mark.parametrize(
+    "name", ["liver.vtk", "liver.vtp", "liver.vtu", "liver.stl", "liver.obj", "liver.ply", "liver.doc"]
+)
+def test_file_that_is_no_mesh_is_one_sentence(folder, name, capfd):
+    if name.endswith(("vtk", "vtp", "vtu")):
+        pytest.importorskip("vtkmodules")
+    (folder / name).write_bytes(b"This is not a mesh.\n" * 20)
+    with pytest.raises(MeshError, match=name) as caught:
+        load_organ(describe(folder, surface=name))
+    assert "expected" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert capfd.readouterr().err == ""
+
+
+def test_truncated_mesh_is_one_sentence(folder):
+    data = (folder / "liver.ply").read_bytes()
+    (folder / "liver.ply").write_bytes(data[: len(data) // 2])
+    with pytest.raises(MeshError, match="liver.ply"):
+        load_organ(describe(folder))
+
+
+def test_three_ways_of_attachment_are_joined(folder):
+    (folder / "attached.txt").write_text("0\n5\n7\n")
+    attached = {**TIP, "vertices": "attached.txt", "touching": {"mesh": "vein.ply", "distance": 12}}
+    organ = load_organ(describe(folder, attached=attached))
+    expected = np.linalg.norm(LIVER.vertices - [0.09, 0.0, 0.0], axis=1) <= 0.025
+    # The vein is a sphere of many small triangles; the vertices tested lie clear of the limit.
+    gap = np.linalg.norm(LIVER.vertices - [0.095, 0.0, 0.0], axis=1) - 0.008
+    clear = np.abs(gap - 0.012) > 5e-4
+    expected |= gap <= 0.012
+    expected[[0, 5, 7]] = True
+    np.testing.assert_array_equal(organ.attached[clear], expected[clear])
+
+
+def test_inward_winding_is_turned(folder):
+    export(SurfaceMesh(LIVER.vertices, LIVER.faces[:, ::-1]), folder / "liver.ply")
+    assert enclosed_volume(load_organ(describe(folder)).surface) == pytest.approx(
+        enclosed_volume(LIVER), rel=1e-5
+    )
+
+
+def test_single_turned_faces_are_turned_back(folder, caplog):
+    faces = LIVER.faces.copy()
+    faces[::7] = faces[::7, ::-1]
+    export(SurfaceMesh(LIVER.vertices, faces), folder / "liver.ply")
+    with caplog.at_level(logging.WARNING):
+        organ = load_organ(describe(folder))
+    assert enclosed_volume(organ.surface) == pytest.approx(enclosed_volume(LIVER), rel=1e-5)
+    assert "opposite directions" in caplog.text
+
+
+def test_flat_bodies_beside_the_organ_are_dropped_with_a_warning(folder, caplog):
+    count = len(LIVER.vertices)
+    sliver = np.array([[0.2, 0.0, 0.0], [0.21, 0.0, 0.0], [0.2, 0.01, 0.0]])
+    vertices = np.concatenate([LIVER.vertices, sliver])
+    faces = np.concatenate([[[count, count + 1, count + 2], [count, count + 2, count + 1]], LIVER.faces])
+    export(SurfaceMesh(vertices, faces), folder / "liver.ply")
+    with caplog.at_level(logging.WARNING):
+        organ = load_organ(describe(folder))
+    assert len(organ.surface.vertices) == count
+    assert "1 bodies without volume" in caplog.text
+
+
+def test_holes_are_tolerated(folder):
+    export(SurfaceMesh(LIVER.vertices, LIVER.faces[20:]), folder / "liver.ply")
+    assert enclosed_volume(load_organ(describe(folder)).surface) == pytest.approx(
+        enclosed_volume(LIVER), rel=0.05
+    )
+
+
+def test_missing_attachment_is_allowed_with_a_warning(folder, caplog):
+    with caplog.at_level(logging.WARNING):
+        organ = load_organ(describe(folder, attached=None))
+    assert not organ.attached.any()
+    assert "nothing about where the organ is attached" in caplog.text
+
+
+BAD_STRUCTURE = [{"name": "x", "mesh": "tumour.ply", "colour": [2, 0, 0]}]
+MISTAKES = [
+    ({"unit": None}, OrganError, "unit: expected mm or m, got nothing"),
+    ({"unit": "cm"}, OrganError, "unit: expected mm or m, got 'cm'"),
+    ({"unit": "m"}, OrganError, "unit is probably wrong, in mm it would be 1.1"),
+    ({"surfaces": "x.ply"}, OrganError, "surfaces: unknown key, expected one of attached"),
+    ({"surface": None}, OrganError, "surface: expected a file name, got nothing"),
+    ({"surface": "none.ply"}, OrganError, "surface: expected a file, found none at"),
+    ({"structures": "tumour.ply"}, OrganError, "structures: expected a list, got 'tumour.ply'"),
+    ({"structures": [{"name": "x"}]}, OrganError, r"structures\[0\].mesh: expected a file name, got nothing"),
+    (
+        {"structures": [{"mesh": "tumour.ply"}]},
+        OrganError,
+        r"structures\[0\].name: expected text, got nothing",
+    ),
+    ({"structures": BAD_STRUCTURE}, OrganError, r"colour: expected numbers from 0 to 1, got \[2, 0, 0\]"),
+    (
+        {"structures": [{"name": "x", "mesh": "none.ply"}]},
+        OrganError,
+        r"structures\[0\].mesh: expected a file",
+    ),
+    ({"attached": {"spheres": [{"centre": [500, 0, 0], "radius": 5}]}}, OrganError, "got none"),
+    ({"attached": {"spheres": [{"centre": [0, 0, 0], "radius": 500}]}}, OrganError, "got all of them"),
+    ({"attached": {"spheres": [{"centre": [0, 0], "radius": 5}]}}, OrganError, "centre: expected 3 numbers"),
+    ({"attached": {"spheres": [{"centre": [0, 0, 0]}]}}, OrganError, "radius: expected 1 numbers"),
+    (
+        {"attached": {"spheres": [{"centre": [0, 0, 0], "radius": -1}]}},
+        OrganError,
+        "expected a positive number",
+    ),
+    ({"attached": {"vertices": [1, 100000]}}, OrganError, "expected indices from 0 to 641, got 1 to 100000"),
+    ({"attached": {"vertices": ["a"]}}, OrganError, "expected whole numbers"),
+    ({"attached": {"vertices": "none.txt"}}, OrganError, "expected a file, found none"),
+    ({"attached": {"touching": {"mesh": "vein.ply"}}}, OrganError, "distance: expected 1 numbers"),
+    ({"attached": {"circles": []}}, OrganError, "attached.circles: unknown key"),
+]
+
+
+@pytest.mark.parametrize(("changes", "kind", "message"), MISTAKES, ids=lambda value: str(value)[:40])
+def test_mistakes_are_one_sentence(folder, changes, kind, message):
+    with pytest.raises(kind, match=message) as caught:
+        load_organ(describe(folder, **changes))
+    assert "\n" not in str(caught.value)
+
+
+def test_list_of_vertices_does_not_fit_an_stl(folder):
+    export(LIVER, folder / "liver.stl")
+    with pytest.raises(OrganError, match="numbers its vertices, got an STL"):
+        load_organ(describe(folder, surface="liver.stl", attached={"vertices": [1, 2, 3]}))
+
+
+def test_structure_far_from_the_organ_is_refused(folder):
+    export(sphere(0.01, centre=(0.5, 0.0, 0.0)), folder / "tumour.ply")
+    with pytest.raises(
+        OrganError, match="structure 'tumour': expected it inside the organ, got it 400 mm away"
+    ):
+        load_organ(describe(folder))
+
+
+@pytest.mark.parametrize("text", ["[1, 2", "- a\n- b\n", "", "\x00"])
+def test_file_that_is_no_description_is_refused(folder, text):
+    (folder / "organ.yaml").write_text(text)
+    with pytest.raises(OrganError, match=r"organ.yaml: expected"):
+        load_organ(folder)
+
+
+def test_folder_without_description_is_refused(tmp_path):
+    with pytest.raises(OrganError, match="expected a folder with organ.yaml"):
+        load_organ(tmp_path / "nothing")
+
+
+def test_code_in_yaml_is_not_run(folder):
+    (folder / "organ.yaml").write_text("name: !!python/object/apply:os.getcwd []\nunit: mm\n")
+    with pytest.raises(OrganError, match="expected YAML"):
+        load_organ(folder)
+
+
+def organ_with(surface=LIVER, attached=0, structure=TUMOUR, name="tumour") -> Organ:
+    flags = np.zeros(len(surface.vertices), dtype=bool)
+    flags[attached] = True
+    return make_organ("x", "organ", surface, (Structure(name, "tumour", structure, (1, 1, 1, 1)),), flags)
+
+
+def test_digest_is_that_of_the_content():
+    same = SurfaceMesh(LIVER.vertices.copy(), LIVER.faces.copy())
+    turned = SurfaceMesh(LIVER.vertices @ rotation([0, 0, 1], 1e-9).T, LIVER.faces)
+    assert organ_with().digest == organ_with(surface=same).digest
+    others = [
+        organ_with(surface=turned),
+        organ_with(attached=1),
+        organ_with(structure=VEIN),
+        organ_with(name="vein"),
+    ]
+    assert len({organ_with().digest, *(organ.digest for organ in others)}) == 5
+
+
+def test_attached_flags_must_fit_the_surface():
+    with pytest.raises(OrganError, match="one flag for each of the 642 surface vertices"):
+        Organ("x", "organ", LIVER, (), np.zeros(3, dtype=bool), None, "")
+
+
+def test_openhelp_liver_loads_in_seconds(test_data, tmp_path):
+    spheres = [{"centre": [-35.0, 20.0, 140.0], "radius": 60}]
+    content = {
+        "unit": "mm",
+        "surface": str(test_data / "openhelp" / "liver.stl"),
+        "attached": {"spheres": spheres},
+    }
+    (tmp_path / "organ.yaml").write_text(yaml.safe_dump(content))
+    start = time.perf_counter()
+    organ = load_organ(tmp_path)
+    assert time.perf_counter() - start < 10.0
+    assert (len(organ.surface.vertices), len(organ.surface.faces)) == (15_365, 30_726)
+    assert enclosed_volume(organ.surface) == pytest.approx(1.818e-3, rel=1e-3)
+
+
+def test_patient_of_binary_vtk_files_loads(test_data, tmp_path, caplog):
+    pytest.importorskip("vtkmodules")
+    patient = test_data / "patient"
+    names = ["portal_vein", "hepatic_veins", "liver_tumours"]
+    content = {
+        "unit": "mm",
+        "surface": str(patient / "liver.vtk"),
+        "structures": [
+            {"name": name, "kind": "vessel", "mesh": str(patient / f"{name}.vtk")} for name in names
+        ],
+        "attached": {"touching": {"mesh": str(patient / "portal_vein.vtk"), "distance": 3}},
+    }
+    (tmp_path / "organ.yaml").write_text(yaml.safe_dump(content))
+    with caplog.at_level(logging.WARNING):
+        organ = load_organ(tmp_path)
+    assert enclosed_volume(organ.surface) == pytest.approx(2.316e-3, rel=1e-3)
+    assert "5 bodies without volume" in caplog.text
+    assert [s.name for s in organ.structures] == names
+    assert 0.0 < organ.attached.mean() < 0.2
