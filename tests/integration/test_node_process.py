@@ -1,0 +1,362 @@
+"""The node as a process: signals, exit codes, life cycle, services and what it does when clouds come too fast."""
+
+import itertools
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
+pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
+
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints
+
+from integration.harness import (
+    CAMERA_FROM_ORGAN,
+    Client,
+    NodeProcess,
+    Scene,
+    nanoseconds,
+    new_domain,
+    read_answer,
+    registration_message,
+    write_organ,
+)
+
+stamps = itertools.count(1_700_000_000_000_000_000, 50_000_000)
+SLOW = [sys.executable, str(Path(__file__).with_name("slow_node.py"))]
+LENIENT = {"minimum_visible_fraction": 0.01, "frame_budget_s": 60.0}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_organ(tmp_path_factory.mktemp("organ"))
+
+
+@pytest.fixture(scope="module")
+def scene(folder):
+    return Scene(folder)
+
+
+@pytest.fixture
+def slow(folder, tmp_path, monkeypatch):
+    """Start a node whose estimates take `estimate_s`."""
+
+    def start(domain, estimate_s, **parameters):
+        monkeypatch.setenv("SLOW_ESTIMATE_S", str(estimate_s))
+        return NodeProcess(
+            domain, tmp_path, {"organ": folder, "estimator": "slow"} | LENIENT | parameters, SLOW
+        )
+
+    return start
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_when_idle_ends_with_zero(slow, number):
+    with slow(new_domain(), 0.0) as node:
+        node.wait_for_text("answering clouds")
+        assert node.stop(number) == 0
+        assert "Traceback" not in node.text and "Error" not in node.text
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("estimate_s", [0.5, 30.0], ids=["short", "endless"])
+def test_signal_during_an_estimate_and_callbacks_ends_with_zero(slow, scene, number, estimate_s):
+    domain = new_domain()
+    with slow(domain, estimate_s) as node, Client(domain) as client:
+        client.wait_until_connected()
+        # A stream, so that the signal meets callbacks as well as the estimate.
+        for _ in range(20):
+            client.clouds.publish(scene.cloud(next(stamps)))
+            client.spin(0.02)
+        node.send(number)
+        for _ in range(20):
+            client.clouds.publish(scene.cloud(next(stamps)))
+            time.sleep(0.01)
+        assert node.wait(15.0) == 0
+        assert "Traceback" not in node.text and "Error" not in node.text
+
+
+def test_signal_while_an_organ_loads_ends_with_zero(slow, monkeypatch):
+    monkeypatch.setenv("SLOW_LOAD_S", "60")
+    with slow(new_domain(), 0.0) as node:
+        node.wait_for_text("slow to load")
+        assert node.stop(signal.SIGTERM) == 0
+        assert "Traceback" not in node.text
+
+
+def damaged_organ(folder: Path, case: str) -> Path:
+    if case == "no folder":
+        return folder / "nowhere"
+    if case == "wrong unit":
+        return write_organ(folder, unit="m")
+    write_organ(folder)
+    if case == "missing mesh":
+        (folder / "tumour.ply").unlink()
+    else:
+        (folder / "surface.ply").write_bytes(b"not a mesh")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("case", "words"),
+    [
+        ("no folder", ["nowhere", "organ.yaml"]),
+        ("wrong unit", ["unit"]),
+        ("missing mesh", ["tumour.ply"]),
+        ("damaged mesh", ["surface.ply"]),
+    ],
+)
+def test_wrong_organ_at_start_is_one_sentence_and_exit_code_2(tmp_path, case, words):
+    organ = damaged_organ(tmp_path / "organ", case)
+    with NodeProcess(new_domain(), tmp_path, {"organ": organ, "estimator": "elastic"}) as node:
+        assert node.wait(60.0) == 2
+        errors = [line for line in node.text.splitlines() if "[INFO]" not in line]
+        assert len(errors) == 1, node.text
+        assert all(word in errors[0] for word in [*words, "expected"]), errors
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"estimator": "magic"}, ["estimator", "'magic'", "elastic"]),
+        ({"frame_budget_s": -1.0}, ["frame_budget_s", "-1"]),
+        ({"minimum_points": "many"}, ["minimum_points", "many"]),
+        ({"estimator": "paper", "checkpoint": "{tmp}/nowhere.safetensors"}, ["nowhere.safetensors"]),
+        ({"estimator": "paper", "checkpoint": "{tmp}/damaged.safetensors"}, ["damaged.safetensors"]),
+    ],
+    ids=["estimator", "range", "type", "no checkpoint", "damaged checkpoint"],
+)
+def test_wrong_parameter_at_start_is_one_sentence_and_exit_code_2(folder, tmp_path, parameters, words):
+    (tmp_path / "damaged.safetensors").write_bytes(b"\x10\x00\x00\x00\x00\x00\x00\x00{broken")
+    given = {name: str(value).format(tmp=tmp_path) for name, value in parameters.items()}
+    with NodeProcess(new_domain(), tmp_path, {"organ": folder} | given) as node:
+        assert node.wait(60.0) == 2
+        errors = [line for line in node.text.splitlines() if "[INFO]" not in line]
+        assert len(errors) == 1, node.text
+        assert all(word in errors[0] for word in words), errors
+
+
+def test_life_cycle_by_services(slow, scene, folder, tmp_path):
+    domain = new_domain()
+    with slow(domain, 0.0, autostart=False) as node, Client(domain) as client:
+
+        def change(transition):
+            request = ChangeState.Request(transition=Transition(id=transition))
+            return client.call(ChangeState, "change_state", request).success
+
+        def state():
+            return client.call(GetState, "get_state", GetState.Request()).current_state.id
+
+        def set_parameter(name, text):
+            value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text)
+            request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
+            return client.call(SetParameters, "set_parameters", request).results[0]
+
+        warp = WarpPoints.Request(points=[0.0, 0.0, 0.0])
+        assert state() == State.PRIMARY_STATE_UNCONFIGURED
+        response = client.call(LoadOrgan, "load_organ", LoadOrgan.Request(folder=str(folder)))
+        assert response.result == LoadOrgan.Response.NOT_CONFIGURED
+        assert client.call(Reset, "reset", Reset.Request()).result == Reset.Response.NOT_CONFIGURED
+        assert set_parameter("organ", str(tmp_path / "nowhere")).successful
+        assert not change(Transition.TRANSITION_CONFIGURE)
+        node.wait_for_text("nowhere")
+        assert state() == State.PRIMARY_STATE_UNCONFIGURED
+
+        assert set_parameter("organ", str(folder)).successful
+        assert change(Transition.TRANSITION_CONFIGURE)
+        assert state() == State.PRIMARY_STATE_INACTIVE
+        assert client.call(WarpPoints, "warp_points", warp).result == WarpPoints.Response.NOT_ACTIVE
+        refusal = set_parameter("estimator", "elastic")
+        assert not refusal.successful and "unconfigured" in refusal.reason
+
+        for _ in range(2):  # activation works again and again
+            assert change(Transition.TRANSITION_ACTIVATE)
+            assert state() == State.PRIMARY_STATE_ACTIVE
+            client.wait_until_connected()
+            stamp = next(stamps)
+            client.clouds.publish(scene.cloud(stamp))
+            client.answer_of(stamp)
+            assert client.status_of(stamp).frames_received == 1
+            assert change(Transition.TRANSITION_DEACTIVATE)
+            client.wait(lambda: client.clouds.get_subscription_count() == 0, "end of the subscription")
+        assert change(Transition.TRANSITION_CLEANUP)
+        assert state() == State.PRIMARY_STATE_UNCONFIGURED
+        assert change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
+        assert node.stop() == 0
+        assert "Traceback" not in node.text
+
+
+def test_newest_cloud_wins_and_every_cloud_is_counted(slow, scene):
+    domain = new_domain()
+    sent = []
+    with slow(domain, 0.25) as _, Client(domain) as client:
+        client.wait_until_connected()
+        for _ in range(40):
+            sent.append(next(stamps))
+            client.clouds.publish(scene.cloud(sent[-1]))
+            client.spin(0.03)
+        last = client.status_of(sent[-1])
+        client.answer_of(sent[-1])
+    answered = [nanoseconds(answer.header.stamp) for answer in client.answers]
+    assert answered == sorted(set(answered)), "never an old cloud after a newer one, never one twice"
+    assert set(answered) <= set(sent)
+    assert (last.frames_received, last.frames_answered) == (len(sent), len(answered))
+    assert last.frames_answered + last.frames_dropped == len(sent)
+    assert last.frames_refused == 0
+    assert 3 <= len(answered) <= 10  # 1.2 s of clouds at 0.25 s each
+
+
+def test_services_and_parameters_answer_while_an_estimate_runs(slow, scene):
+    domain = new_domain()
+    with slow(domain, 5.0) as _, Client(domain) as client:
+        client.wait_until_connected()
+        client.clouds.publish(scene.cloud(next(stamps)))
+        client.spin(0.5)
+        began = time.monotonic()
+        names = GetParameters.Request(names=["estimator"])
+        assert client.call(GetParameters, "get_parameters", names).values[0].string_value == "slow"
+        response = client.call(WarpPoints, "warp_points", WarpPoints.Request(points=[0.0, 0.0, 0.0]))
+        assert response.result == WarpPoints.Response.NO_ESTIMATE
+        assert time.monotonic() - began < 3.0
+        assert not client.answers
+
+
+@pytest.fixture(scope="module")
+def elastic(folder, tmp_path_factory):
+    """A node with the elastic estimator and its client, shared by the tests of the services."""
+    domain = new_domain()
+    parameters = {"organ": folder, "estimator": "elastic"} | LENIENT
+    with (
+        NodeProcess(domain, tmp_path_factory.mktemp("elastic"), parameters) as node,
+        Client(domain) as client,
+    ):
+        client.wait_until_connected()
+        yield node, client
+
+
+def test_warp_points_follows_the_answer(elastic, scene):
+    client = elastic[1]
+    stamp = next(stamps)
+    client.clouds.publish(scene.cloud(stamp))
+    answer = read_answer(client.answer_of(stamp))
+    reference = scene.organ.structure_points
+    request = WarpPoints.Request(points=reference.ravel().tolist())
+    response = client.call(WarpPoints, "warp_points", request)
+    assert response.result == WarpPoints.Response.SUCCESS
+    assert (nanoseconds(response.header.stamp), response.header.frame_id) == (stamp, "organ")
+    moved = np.asarray(response.points).reshape(-1, 3)
+    np.testing.assert_allclose(moved[:, 2], answer["z"], atol=2e-4)
+    np.testing.assert_allclose(moved - np.asarray(response.displacement).reshape(-1, 3), reference, atol=1e-9)
+    assert len(response.sigma) == len(reference)
+
+    # The same points, given in the camera's frame.
+    client.registrations.publish(registration_message(CAMERA_FROM_ORGAN))
+    client.spin(0.3)
+    seen = reference @ CAMERA_FROM_ORGAN[:3, :3].T + CAMERA_FROM_ORGAN[:3, 3]
+    request = WarpPoints.Request(points=seen.ravel().tolist())
+    request.header.frame_id = "camera"
+    response = client.call(WarpPoints, "warp_points", request)
+    assert response.header.frame_id == "organ"
+    np.testing.assert_allclose(np.asarray(response.points).reshape(-1, 3), moved, atol=1e-6)
+
+
+def test_warp_points_refuses_in_a_sentence(elastic, scene):
+    client = elastic[1]
+    stamp = next(stamps)
+    client.clouds.publish(scene.cloud(stamp))
+    client.answer_of(stamp)
+    codes = WarpPoints.Response
+
+    def ask(points, frame=""):
+        request = WarpPoints.Request(points=points)
+        request.header.frame_id = frame
+        response = client.call(WarpPoints, "warp_points", request)
+        assert "expected" in response.message and "got" in response.message
+        return response.result
+
+    assert ask([0.0, 0.0]) == codes.INVALID_POINTS
+    assert ask([0.0, 0.0, float("nan")]) == codes.INVALID_POINTS
+    assert ask([0.0, 0.0, 0.0], "moon") == codes.WRONG_FRAME
+    client.clouds.publish(scene.cloud(bad := next(stamps), frame="moon"))
+    client.status_of(bad)
+    assert ask([0.0, 0.0, 0.0]) == codes.NO_ESTIMATE, "a refused cloud leaves no estimate to rely on"
+
+
+def test_reset_forgets_the_estimate_and_the_counts(elastic, scene):
+    client = elastic[1]
+    client.clouds.publish(scene.cloud(stamp := next(stamps)))
+    client.answer_of(stamp)
+    assert client.call(Reset, "reset", Reset.Request()).result == Reset.Response.SUCCESS
+    response = client.call(WarpPoints, "warp_points", WarpPoints.Request(points=[0.0, 0.0, 0.0]))
+    assert response.result == WarpPoints.Response.NO_ESTIMATE
+    client.clouds.publish(scene.cloud(stamp := next(stamps)))
+    status = client.status_of(stamp)
+    assert (status.frames_received, status.frames_answered) == (1, 1)
+
+
+def test_load_organ_changes_the_organ_while_clouds_are_answered(elastic, scene, tmp_path):
+    client = elastic[1]
+    bigger = write_organ(tmp_path / "bigger", scale=1.2)
+    request = LoadOrgan.Request(folder=str(bigger))
+    loader = client.node.create_client(LoadOrgan, "softtissue_estimator/load_organ")
+    client.wait(loader.service_is_ready, "service load_organ")
+    future = loader.call_async(request)
+    answered = 0
+    while not future.done() and answered < 200:
+        client.clouds.publish(scene.cloud(stamp := next(stamps)))
+        client.status_of(stamp)
+        answered += 1
+    response = client.wait(future.done, "response of load_organ", 60.0) and future.result()
+    assert response.result == LoadOrgan.Response.SUCCESS, response.message
+    assert answered >= 3, "the old organ goes on answering while the new one is prepared"
+    expected = Scene(bigger)
+    assert (response.name, response.structures) == ("Test organ", 2)
+    assert response.vertices == len(expected.organ.query_points)
+    client.clouds.publish(expected.cloud(stamp := next(stamps)))
+    points = read_answer(client.answer_of(stamp))
+    np.testing.assert_allclose(points["x"] - points["dx"], expected.organ.structure_points[:, 0], atol=1e-7)
+
+    (bigger / "surface.ply").unlink()
+    response = client.call(LoadOrgan, "load_organ", request)
+    assert response.result == LoadOrgan.Response.INVALID_ORGAN
+    assert "surface.ply" in response.message
+    client.clouds.publish(expected.cloud(stamp := next(stamps)))
+    client.answer_of(stamp)  # the organ from before is still at work
+
+
+def test_registration_kept_by_its_publisher_reaches_a_node_that_starts_later(slow, scene):
+    domain = new_domain()
+    with Client(domain) as client:
+        client.node.destroy_publisher(client.registrations)
+        kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        message = registration_message(CAMERA_FROM_ORGAN)
+        client.registrations = client.node.create_publisher(type(message), "registration", kept)
+        client.registrations.publish(message)
+        with slow(domain, 0.0):
+            client.wait_until_connected()
+            seen = scene.points @ CAMERA_FROM_ORGAN[:3, :3].T + CAMERA_FROM_ORGAN[:3, 3]
+
+            def answered():
+                client.clouds.publish(scene.cloud(next(stamps), frame="camera", points=seen))
+                client.spin(0.2)
+                return client.answers
+
+            client.wait(answered, "answer to a registered cloud", 10.0)
+
+
+def test_announced_clouds_that_do_not_arrive_are_reported(slow):
+    domain = new_domain()
+    with slow(domain, 0.0, no_data_timeout_s=0.5) as node, Client(domain) as client:
+        client.wait_until_connected()
+        reason = client.wait(lambda: [s.reason for s in client.statuses if s.level == 2], "status", 10.0)[0]
+        assert "/surface_points: expected a cloud" in reason and "FASTDDS_DEFAULT_PROFILES_FILE" in reason
+        node.wait_for_text("FASTDDS_DEFAULT_PROFILES_FILE", 5.0)
