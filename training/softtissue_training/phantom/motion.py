@@ -1,0 +1,167 @@
+"""The organ's motion: a sequence of equilibria under a changing push, and what lies between them in time."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.interpolate import CubicSpline
+from scipy.spatial import cKDTree
+
+from softtissue_training.errors import SolverDivergedError
+from softtissue_training.phantom.anatomy import Anatomy
+from softtissue_training.phantom.isosurface import isosurface
+from softtissue_training.phantom.quadratic_mesh import Interpolator, QuadraticMesh, to_quadratic
+from softtissue_training.phantom.spec import PhantomSpec, Push
+from softtissue_training.phantom.statics import Body, Equilibrium, mooney_rivlin
+from softtissue_training.tetrahedralise import tetrahedralise
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion that can be asked for any time and place.
+
+    Attributes
+    ----------
+    times
+        (s,) s, of the computed equilibria; the first is the undeformed state.
+    displacement
+        (s, n, 3) m at the nodes.
+    interpolator
+        From nodes to points of the undeformed organ.
+    equilibria
+        One for each time but the first.
+    forces
+        (s, 3) N, total applied force.
+    """
+
+    times: Array
+    displacement: Array
+    interpolator: Interpolator
+    equilibria: tuple[Equilibrium, ...]
+    forces: Array
+
+    def nodal(self, time: float) -> Array:
+        """Nodal displacement ``(n, 3)`` m at a time (s), by a cubic spline through the equilibria."""
+        return np.asarray(self._spline(time))
+
+    def at(self, weights: sparse.csr_array, time: float) -> Array:
+        """Displacement ``(k, 3)`` m at the points of an interpolation matrix and a time (s)."""
+        return np.asarray(weights @ self.nodal(time))
+
+    @property
+    def peak_time(self) -> float:
+        """Time (s) of the computed state with the largest mean nodal displacement."""
+        mean = np.linalg.norm(self.displacement, axis=2).mean(axis=1)
+        return float(self.times[int(np.argmax(mean))])
+
+    @property
+    def worst_residual(self) -> float:
+        """Largest relative residual of all equilibria."""
+        return max(state.residual for state in self.equilibria)
+
+    @property
+    def worst_imbalance(self) -> float:
+        """Largest distance (N) between the attachment's reaction and minus the applied force."""
+        reactions = np.array([state.reaction for state in self.equilibria])
+        return float(np.linalg.norm(reactions + self.forces[1:], axis=1).max())
+
+    @cached_property
+    def _spline(self) -> CubicSpline:
+        return CubicSpline(self.times, self.displacement)
+
+
+def simulate(anatomy: Anatomy, spec: PhantomSpec, progress: Callable[[str], None] = lambda _: None) -> Motion:
+    """Push the organ and follow its equilibria through time.
+
+    Raises
+    ------
+    SolverDivergedError
+        If an equilibrium is not found.
+    MeshError
+        If the organ cannot be filled with elements.
+    """
+    surface = isosurface(anatomy.shape, *anatomy.shape.box, spec.element_size)
+    mesh = to_quadratic(tetrahedralise(surface, 1.2 * spec.element_size))
+    attached = attached_nodes(mesh, anatomy)
+    body = Body(mesh, mooney_rivlin(spec.youngs_modulus_pa, spec.poisson_ratio), attached)
+    share = push_shares(mesh, spec.push)
+    share[attached] = 0.0
+    share /= share.sum()
+    times = np.linspace(0.0, spec.duration, spec.states)
+    forces = np.stack([push_force(spec.push, time / spec.duration) for time in times])
+    states = [np.zeros_like(mesh.nodes)]
+    equilibria = []
+    for number in range(1, spec.states):
+        loads = share[:, None] * forces[number - 1 : number + 1, None]
+        equilibria.append(_advance(body, loads[0], loads[1], states[-1]))
+        states.append(equilibria[-1].displacement)
+        progress(
+            f"equilibrium {number} of {spec.states - 1}: {np.linalg.norm(forces[number]):.2f} N, "
+            f"{equilibria[-1].iterations} iterations, residual {equilibria[-1].residual:.0e}"
+        )
+    return Motion(times, np.stack(states), Interpolator(mesh), tuple(equilibria), forces)
+
+
+def _advance(body: Body, before: Array, now: Array, start: Array, halvings: int = 3) -> Equilibrium:
+    """Follow the equilibrium from one load ``(n, 3)`` N to the next, by way of half the change where that is needed."""
+    try:
+        return body.solve(now, start)
+    except SolverDivergedError:
+        if halvings == 0:
+            raise
+    middle = 0.5 * (before + now)
+    half_way = _advance(body, before, middle, start, halvings - 1)
+    return _advance(body, middle, now, half_way.displacement, halvings - 1)
+
+
+def attached_nodes(mesh: QuadraticMesh, anatomy: Anatomy) -> NDArray[np.bool_]:
+    """Nodes ``(n,)`` of the boundary triangles whose three corners are nearest to attached surface vertices."""
+    used = np.unique(mesh.faces)
+    held = np.zeros(len(mesh.nodes), dtype=bool)
+    held[used] = anatomy.attached[cKDTree(anatomy.surface.vertices).query(mesh.nodes[used])[1]]
+    whole = held[mesh.faces].all(axis=1)
+    attached = np.zeros(len(mesh.nodes), dtype=bool)
+    attached[mesh.faces[whole]] = True
+    attached[mesh.face_midsides[whole]] = True
+    return attached
+
+
+def push_shares(mesh: QuadraticMesh, push: Push) -> Array:
+    """Share ``(n,)`` of the force that each node carries: a bell over the surface around the pushed point.
+
+    A constant load on a straight-edged quadratic triangle goes to its midside nodes, a third of the area to each;
+    a smooth one is taken at those nodes.
+    """
+    corners = mesh.nodes[mesh.faces]
+    area = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    used = np.unique(mesh.faces)
+    centre = mesh.nodes[used[int(cKDTree(mesh.nodes[used]).query(np.array(push.point))[1])]]
+    distance = np.linalg.norm(mesh.nodes[mesh.face_midsides] - centre, axis=2)
+    load = np.exp(-0.5 * (distance / push.radius) ** 2) * area[:, None] / 3.0
+    share = np.bincount(mesh.face_midsides.ravel(), weights=load.ravel(), minlength=len(mesh.nodes))
+    result: Array = share / share.sum()
+    return result
+
+
+def push_force(push: Push, phase: float) -> Array:
+    """Force ``(3,)`` N at a phase of the recording, 0 to 1: it rises, sways to the sides and is half released."""
+    direction = np.array(push.direction) / np.linalg.norm(push.direction)
+    sway = np.array(push.sway) / np.linalg.norm(push.sway)
+    along = _smooth_step(phase / 0.4) - 0.55 * _smooth_step((phase - 0.72) / 0.26)
+    window = _smooth_step((phase - 0.3) / 0.15) * (1.0 - _smooth_step((phase - 0.65) / 0.2))
+    across = 0.15 * window * np.sin(2.0 * np.pi * (phase - 0.3) / 0.3)
+    force: Array = push.peak_n * (along * direction + across * sway)
+    return force
+
+
+def _smooth_step(x: float) -> float:
+    """Rise from 0 to 1 between x = 0 and x = 1 with two continuous derivatives."""
+    x = min(max(x, 0.0), 1.0)
+    return x**3 * (10.0 - 15.0 * x + 6.0 * x * x)

@@ -1,0 +1,71 @@
+"""A slightly irregular ball that lies between vessels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_training.phantom.implicit import Points, Values
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tumour:
+    """Call it with points ``(n, 3)`` in metres, negative inside.
+
+    The radius changes with direction by a smooth wave: `bump` times the mean of cosines along `directions`.
+    """
+
+    centre: Array  # (3,) m
+    radius: float  # m
+    bump: float  # m
+    directions: Array  # (w, 3), length is the wave number
+    phases: Array  # (w,) rad
+
+    def __call__(self, points: Points) -> Values:
+        """Return roughly the signed distance (m) of points ``(n, 3)`` (m), positive outside."""
+        offset = points - self.centre
+        distance = np.linalg.norm(offset, axis=1)
+        towards = offset / np.maximum(distance, 1e-12)[:, None]
+        wave = np.cos(towards @ self.directions.T + self.phases).mean(axis=1)
+        return np.asarray(distance - self.radius - self.bump * wave)
+
+    @property
+    def box(self) -> tuple[Array, Array]:
+        """Lower and upper corner (m) of a box with room around the tumour."""
+        reach = self.radius + self.bump + 0.006
+        return self.centre - reach, self.centre + reach
+
+
+def place_tumour(
+    candidates: Array, vessels: tuple[Array, Array], radius: float, gap: float, rng: np.random.Generator
+) -> Tumour:
+    """Put a tumour of `radius` (m) where both vessels pass at about `gap` (m) from its surface.
+
+    Parameters
+    ----------
+    candidates : (k, 3) m, where its centre may lie
+    vessels : two (n, 3) m, vertices of the vessels' surfaces
+
+    Raises
+    ------
+    InvalidInputError
+        If at every candidate a vessel would pass through the tumour.
+    """
+    bump = 0.12 * radius
+    distance = np.stack([cKDTree(vertices).query(candidates)[0] for vertices in vessels], axis=1)
+    excess = distance - (radius + bump + gap)
+    allowed = np.all(excess >= -0.5 * gap, axis=1)
+    if not allowed.any():
+        raise InvalidInputError(f"found no room for a tumour of radius {radius} m between the vessels")
+    best = int(np.argmin(np.where(allowed, np.abs(excess).sum(axis=1), np.inf)))
+    return Tumour(
+        centre=candidates[best],
+        radius=radius,
+        bump=bump,
+        directions=rng.normal(0.0, 2.0, (5, 3)),
+        phases=rng.uniform(0.0, 2.0 * np.pi, 5),
+    )
