@@ -97,37 +97,76 @@ def rasterise_triangles(
     values : (n, c) values at the vertices to interpolate; none if absent
     farthest : keep the far side instead of the near one
     """
-    rows, columns = camera.shape
     values = np.zeros((len(mesh.vertices), 0)) if values is None else values
     position = camera.project(mesh.vertices)
     if farthest:
         position[:, 2] = -position[:, 2]
     attributes = np.concatenate([vertex_normals(mesh) @ camera.axes.T, values], axis=1)
-    nearness = np.full((rows, columns), -np.inf)
-    drawn = np.zeros((rows, columns, attributes.shape[1]))
-    corners = position[mesh.faces]
-    lower = np.maximum(np.ceil(corners[:, :, :2].min(axis=1) - 0.5), 0.0).astype(int)
-    upper = np.minimum(np.floor(corners[:, :, :2].max(axis=1) - 0.5), [columns - 1, rows - 1]).astype(int)
+    triangle, pixel, weights, depth = _cover(position[mesh.faces], camera.shape)
+    # Numpy keeps the last of several values for one pixel: the nearest, in this order.
+    order = np.argsort(depth, kind="stable")
+    winner = np.full(camera.shape[0] * camera.shape[1], -1)
+    winner[pixel[order]] = order
+    drawn_pixels = np.flatnonzero(winner >= 0)
+    chosen = winner[drawn_pixels]
+    nearness = np.full(len(winner), -np.inf)
+    nearness[drawn_pixels] = -depth[chosen] if farthest else depth[chosen]
+    drawn = np.zeros((len(winner), attributes.shape[1]))
+    corners = attributes[mesh.faces[triangle[chosen]]]
+    drawn[drawn_pixels] = np.einsum("kc,kca->ka", weights[chosen], corners)
+    drawn[:, :3] /= np.maximum(np.linalg.norm(drawn[:, :3], axis=1, keepdims=True), 1e-300)
+    image = drawn.reshape(*camera.shape, -1)
+    return Fragments(nearness.reshape(camera.shape), image[..., :3], image[..., 3:])
+
+
+def _cover(
+    corners: Array, shape: tuple[int, int]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:
+    """Find the pixels whose centres projected triangles cover.
+
+    Parameters
+    ----------
+    corners : (m, 3, 3) column, row and nearness of the triangles' corners
+    shape : rows and columns of the image
+
+    Returns
+    -------
+    triangle, pixel : (k,) each, what covers what; pixels count along rows
+    weights : (k, 3) of the corners there
+    depth : (k,) nearness there
+    """
+    rows, columns = shape
+    lower = np.maximum(np.ceil(corners[:, :, :2].min(axis=1) - 0.5), 0.0).astype(np.int64)
+    upper = np.minimum(np.floor(corners[:, :, :2].max(axis=1) - 0.5), [columns - 1, rows - 1]).astype(
+        np.int64
+    )
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     seen = (np.abs(area) > 1e-12) & np.all(upper >= lower, axis=1)
-    for number in np.flatnonzero(seen):
-        (c0, r0), (c1, r1) = lower[number], upper[number]
-        x = np.arange(c0, c1 + 1) + 0.5 - corners[number, 0, 0]
-        y = (np.arange(r0, r1 + 1) + 0.5 - corners[number, 0, 1])[:, None]
-        b1 = (x * second[number, 1] - y * second[number, 0]) / area[number]
-        b2 = (y * first[number, 0] - x * first[number, 1]) / area[number]
-        depth = corners[number, 0, 2] + b1 * first[number, 2] + b2 * second[number, 2]
-        window = nearness[r0 : r1 + 1, c0 : c1 + 1]
-        hit = (b1 >= 0.0) & (b2 >= 0.0) & (b1 + b2 <= 1.0) & (depth > window)
-        if not hit.any():
-            continue
-        window[hit] = depth[hit]
-        weights = np.stack([1.0 - b1 - b2, b1, b2], axis=-1)[hit]
-        drawn[r0 : r1 + 1, c0 : c1 + 1][hit] = weights @ attributes[mesh.faces[number]]
-    normal = drawn[..., :3]
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-300)
-    return Fragments(-nearness if farthest else nearness, normal, drawn[..., 3:])
+    # Triangles of similar size share a square of candidate pixels.
+    size = 2 ** np.ceil(np.log2(np.maximum((upper - lower).max(axis=1) + 1, 1))).astype(np.int64)
+    found: list[tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]] = []
+    for side in np.unique(size[seen]):
+        group = np.flatnonzero(seen & (size == side))
+        step = max(1, 4_000_000 // int(side) ** 2)
+        for chunk in (group[start : start + step] for start in range(0, len(group), step)):
+            column = lower[chunk, 0, None] + np.tile(np.arange(side), side)
+            row = lower[chunk, 1, None] + np.repeat(np.arange(side), side)
+            x = column + 0.5 - corners[chunk, 0, 0, None]
+            y = row + 0.5 - corners[chunk, 0, 1, None]
+            b1 = (x * second[chunk, 1, None] - y * second[chunk, 0, None]) / area[chunk, None]
+            b2 = (y * first[chunk, 0, None] - x * first[chunk, 1, None]) / area[chunk, None]
+            inside = (b1 >= 0.0) & (b2 >= 0.0) & (b1 + b2 <= 1.0)
+            inside &= (column <= upper[chunk, 0, None]) & (row <= upper[chunk, 1, None])
+            which, _ = np.nonzero(inside)
+            weights = np.stack([1.0 - b1[inside] - b2[inside], b1[inside], b2[inside]], axis=1)
+            depth = np.einsum("kc,kc->k", weights, corners[chunk[which], :, 2])
+            found.append((chunk[which], (row * columns + column)[inside], weights, depth))
+    if not found:
+        nothing = np.zeros(0, dtype=np.int64)
+        return nothing, nothing, np.zeros((0, 3)), np.zeros(0)
+    triangle, pixel, weights, depth = (np.concatenate(part) for part in zip(*found, strict=True))
+    return triangle, pixel, weights, depth
 
 
 def shade(normal: Array, colour: Array, shine: float = 0.25) -> Array:
