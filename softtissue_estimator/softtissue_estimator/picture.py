@@ -165,7 +165,7 @@ def _draw_before(axes: Axes, scene: Scene, camera: Camera) -> None:
     nearest, _ = cKDTree(scene.reference).query(organ.surface.vertices)
     seen = (np.asarray(nearest) < _SEEN_RADIUS).astype(float)
     image = _glass(organ.surface, camera, np.stack([seen, organ.attached.astype(float)], axis=1))
-    _show(axes, over(image, _solid(meshes, colours, camera)), "Before the operation")
+    _show(axes, _behind(image, _solid(meshes, colours, camera)), "Before the operation")
     entries = [("tracked part of the surface", _SEEN_COLOUR), ("attached", _ATTACHED_COLOUR)]
     names = [(s.name, np.array(s.colour[:3])) for s in organ.structures]
     _legend(axes, [_patch(name, colour) for name, colour in names + entries])
@@ -177,7 +177,7 @@ def _draw_during(axes: Axes, scene: Scene, camera: Camera) -> None:
     colours = [np.array(structure.colour[:3]) for structure in scene.organ.structures]
     image = _solid(scene.structures(scene.estimated), colours, camera)
     if scene.surface is not None:
-        image = over(_glass(scene.surface, camera), image)
+        image = _behind(_glass(scene.surface, camera), image)
     _show(axes, image, "During the operation, estimated")
     _outline(axes, [scene.organ.surface], camera, _GREY, 1.1, "dashed")
     points = camera.project(scene.observed) / _SMOOTHING
@@ -205,7 +205,7 @@ def _draw_error(axes: Axes, scene: Scene, true: Array, camera: Camera) -> None:
     colours = [colour_map(part / top)[:, :3] for part in scene.split(error)]
     image = _solid(scene.structures(scene.estimated), colours, camera)
     if scene.surface is not None:
-        image = over(_glass(scene.surface, camera, faint=True), image)
+        image = _behind(_glass(scene.surface, camera, faint=True), image)
     _show(axes, image, "Distance from the truth")
     handles = [] if scene.markers is None else _draw_markers(axes, scene.markers, camera)
     _legend(axes, handles)
@@ -255,8 +255,8 @@ def _solid(meshes: list[SurfaceMesh], colours: list[Array], camera: Camera) -> A
         fragments = rasterise_triangles(mesh, camera, values)
         front = fragments.nearness > nearness
         nearness[front] = fragments.nearness[front]
-        lit = shade(fragments.normal, fragments.values)
-        image[front] = np.concatenate([lit, np.ones((*camera.shape, 1))], axis=-1)[front]
+        image[front, :3] = shade(fragments.normal[front], fragments.values[front])
+        image[front, 3] = 1.0
     return image
 
 
@@ -273,7 +273,18 @@ def _glass(surface: SurfaceMesh, camera: Camera, flags: Array | None = None, *, 
         colour = colour * (1.0 - seen) + _SEEN_COLOUR * seen
         colour = colour * (1.0 - dark) + _ATTACHED_COLOUR * dark
         alpha = np.clip(alpha + 0.12 * seen + 0.25 * dark, 0.0, 0.85)
-    return np.concatenate([shade(near.normal, colour, shine=0.18), alpha * near.covered[..., None]], axis=-1)
+    image = np.zeros((*camera.shape, 4))
+    covered = near.covered
+    image[covered, :3] = shade(near.normal[covered], colour[covered], shine=0.18)
+    image[covered, 3] = alpha[covered, 0]
+    return image
+
+
+def _behind(glass: Array, solid: Array) -> Array:
+    """Put what is solid behind the glass, which is thinned there so that colours stay clear."""
+    thinned = glass.copy()
+    thinned[..., 3] *= 1.0 - 0.5 * solid[..., 3]
+    return over(thinned, solid)
 
 
 def _show(axes: Axes, image: Array, title: str) -> None:

@@ -111,10 +111,11 @@ def rasterise_triangles(
     chosen = winner[drawn_pixels]
     nearness = np.full(len(winner), -np.inf)
     nearness[drawn_pixels] = -depth[chosen] if farthest else depth[chosen]
-    drawn = np.zeros((len(winner), attributes.shape[1]))
     corners = attributes[mesh.faces[triangle[chosen]]]
-    drawn[drawn_pixels] = np.einsum("kc,kca->ka", weights[chosen], corners)
-    drawn[:, :3] /= np.maximum(np.linalg.norm(drawn[:, :3], axis=1, keepdims=True), 1e-300)
+    blended = np.einsum("kc,kca->ka", weights[chosen], corners)
+    blended[:, :3] /= np.maximum(np.linalg.norm(blended[:, :3], axis=1, keepdims=True), 1e-300)
+    drawn = np.zeros((len(winner), attributes.shape[1]))
+    drawn[drawn_pixels] = blended
     image = drawn.reshape(*camera.shape, -1)
     return Fragments(nearness.reshape(camera.shape), image[..., :3], image[..., 3:])
 
@@ -148,7 +149,7 @@ def _cover(
     found: list[tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]] = []
     for side in np.unique(size[seen]):
         group = np.flatnonzero(seen & (size == side))
-        step = max(1, 4_000_000 // int(side) ** 2)
+        step = max(1, 500_000 // int(side) ** 2)
         for chunk in (group[start : start + step] for start in range(0, len(group), step)):
             column = lower[chunk, 0, None] + np.tile(np.arange(side), side)
             row = lower[chunk, 1, None] + np.repeat(np.arange(side), side)
