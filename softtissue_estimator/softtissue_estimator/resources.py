@@ -57,8 +57,8 @@ def bundled_checkpoint() -> Path:
 
 
 def bundled_bag() -> Path:
-    """Bag that the demo replays."""
-    return resource("bags", "phantom.mcap")
+    """Bag (folder) that the demo replays."""
+    return resource("bags", "phantom")
 
 
 def transport_profile() -> Path:

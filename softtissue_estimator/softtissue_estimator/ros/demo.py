@@ -18,6 +18,7 @@ from typing import Any, TextIO
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
 from softtissue_estimator.resources import bundled_bag, bundled_checkpoint, bundled_organ
+from softtissue_estimator.ros.demo_picture import draw, read_recording
 from softtissue_estimator.ros.scoring import failures, table
 
 PACKAGE = "softtissue_estimator"
@@ -118,7 +119,7 @@ def _relay(stream: TextIO, log: Path) -> None:
                 print(f"  node: {line.rstrip()}", flush=True)
 
 
-def run_estimator(estimator: str, options: Options) -> dict[str, Any]:
+def run_estimator(estimator: str, options: Options, snapshot_ns: int) -> dict[str, Any]:
     """Replay the bag into a node with one estimator; return the report of the score.
 
     Raises
@@ -137,7 +138,8 @@ def run_estimator(estimator: str, options: Options) -> dict[str, Any]:
         "-p",
         f"organ:={options.organ}",
     ]
-    score = [str(executable("score")), "--report", str(report), "--answers", str(folder / "answers.npz")]
+    score = [str(executable("score")), "--report", str(report), "--organ", str(options.organ)]
+    score += ["--snapshot", str(folder / "snapshot.npz"), "--snapshot-stamp", str(snapshot_ns)]
     replay = [str(executable("replay")), str(options.bag), "--rate", str(options.rate), "--subscribers", "2"]
     replay += ["--timeout", str(START_TIMEOUT_S), "--report", str(folder / "replay.json")]
     with (
@@ -148,30 +150,34 @@ def run_estimator(estimator: str, options: Options) -> dict[str, Any]:
         threading.Thread(
             target=_relay, args=(node_process.stderr, folder / "node.log"), name="relay", daemon=True
         ).start()
-        _wait_for_replay(node_process, replay_process)
-        if score_process.poll() is None:
-            try:
-                score_process.wait(SCORE_TIMEOUT_S)
-            except subprocess.TimeoutExpired:
-                raise SoftTissueError(
-                    f"score: expected an end within {SCORE_TIMEOUT_S:g} s, got none"
-                ) from None
-        if node_process.poll() is not None:
-            raise SoftTissueError(
-                f"node: expected it to run to the end, got exit code {node_process.returncode}"
-            )
+        _wait(replay_process, "replay", START_TIMEOUT_S + SCORE_TIMEOUT_S, [node_process, score_process])
+        _wait(score_process, "score", SCORE_TIMEOUT_S, [node_process])
     if not report.is_file():
         raise SoftTissueError(f"score: expected a report, got exit code {score_process.returncode} and none")
     return _checked(json.loads(report.read_text()), json.loads((folder / "replay.json").read_text()))
 
 
-def _wait_for_replay(node: "subprocess.Popen[str]", replay: "subprocess.Popen[str]") -> None:
-    while replay.poll() is None:
-        if node.poll() is not None:
-            raise SoftTissueError(f"node: expected it to run, got exit code {node.returncode}")
-        time.sleep(0.1)
-    if replay.returncode != 0:
-        raise SoftTissueError(f"replay: expected exit code 0, got {replay.returncode}")
+def _wait(
+    child: "subprocess.Popen[str]", name: str, timeout_s: float, others: list["subprocess.Popen[str]"]
+) -> None:
+    """Wait for a process while others must go on running."""
+    end = time.monotonic() + timeout_s
+    while child.poll() is None:
+        for other in others:
+            if other.poll() is not None:
+                raise SoftTissueError(
+                    f"{_name(other)}: expected it to run on, got exit code {other.returncode}"
+                )
+        if time.monotonic() > end:
+            raise SoftTissueError(f"{name}: expected an end within {timeout_s:g} s, got none")
+        time.sleep(0.05)
+    if name == "replay" and child.returncode != 0:
+        raise SoftTissueError(f"{name}: expected exit code 0, got {child.returncode}")
+
+
+def _name(child: "subprocess.Popen[str]") -> str:
+    command = child.args
+    return Path(command[0]).name if isinstance(command, list) else str(command)
 
 
 def _checked(report: dict[str, Any], replayed: dict[str, Any]) -> dict[str, Any]:
@@ -187,13 +193,18 @@ def run(options: Options) -> int:
     """Run every estimator, write report and picture; return the exit code."""
     shutil.rmtree(options.out, ignore_errors=True)
     options.out.mkdir(parents=True)
+    recording = read_recording(options.bag)
     reports = {}
     for estimator in options.estimators:
         print(f"==> {estimator}: starting node, replay and score", flush=True)
-        reports[estimator] = run_estimator(estimator, options)
+        reports[estimator] = run_estimator(estimator, options, recording.peak_ns)
     default = options.estimators[0]
     summary = {"estimator": default, **reports[default], "estimators": reports}
     (options.out / "report.json").write_text(json.dumps(summary, indent=2) + "\n")
+    print("==> drawing the picture", flush=True)
+    draw(
+        recording, options.organ, options.out / default / "snapshot.npz", default, options.out / "phantom.png"
+    )
     print()
     for estimator, report in reports.items():
         print(table(report, f"estimator {estimator}{' (default)' if estimator == default else ''}"))

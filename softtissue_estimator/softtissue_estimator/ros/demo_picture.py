@@ -1,4 +1,4 @@
-"""What the demo's picture shows: one recorded frame, its truth from the bag and its answer from the node."""
+"""The demo's picture: one recorded frame, its truth from the bag and its answer from the node."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,77 +8,106 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.organ import Organ
+from softtissue_estimator.organ import load_organ
+from softtissue_estimator.picture import Markers, Scene, draw_phantom
 from softtissue_estimator.ros.bag import Bag, message_type
 from softtissue_estimator.ros.conversions import Cloud, read_cloud
 from softtissue_estimator.ros.registration import Registration, transform_points
 
 FloatArray = NDArray[np.float64]
 
+CLOUDS, MARKERS, TRUTH, REGISTRATION = "surface_points", "markers_truth", "organ_truth", "registration"
+
 
 @dataclass(frozen=True)
-class Snapshot:
-    """One frame, all in the organ's frame, m.
+class Recording:
+    """The frames of a bag, by stamp (nanoseconds)."""
 
-    Attributes
-    ----------
-    seen : (n, 3) float64
-        Intraoperative surface as the camera saw it.
-    seen_reference : (n, 3) float64
-        Where those points were on the preoperative surface.
-    truth : (q, 3) float64
-        True intraoperative positions of `Organ.query_points`.
-    estimated : (k, 3) float64
-        Estimated intraoperative positions of `Organ.structure_points`.
-    """
+    clouds: dict[int, Cloud]
+    markers: dict[int, Cloud]
+    truth: dict[int, Cloud]
+    registration: Registration
 
-    seen: FloatArray
-    seen_reference: FloatArray
-    truth: FloatArray
-    estimated: FloatArray
+    @property
+    def peak_ns(self) -> int:
+        """Stamp of the frame whose markers have moved most, among those for which the whole truth is recorded."""
+        candidates = (self.truth.keys() & self.markers.keys() & self.clouds.keys()) or self.clouds.keys()
+        return max(candidates, key=self._moved)
+
+    def _moved(self, stamp: int) -> float:
+        markers = self.markers.get(stamp)
+        if markers is None or markers.reference is None:
+            return 0.0
+        return float(np.linalg.norm(markers.points - markers.reference, axis=1).mean())
 
 
-def snapshot(bag_path: Path, organ: Organ, answers: Path, stamp_ns: int) -> Snapshot:
-    """Collect the frame nearest to a stamp (nanoseconds) for which the bag holds the truth.
+def read_recording(path: Path) -> Recording:
+    """Read the frames of a bag.
 
     Raises
     ------
     InvalidInputError
-        If the bag has no cloud, registration or truth that fits.
+        If it cannot be read or has no clouds.
     """
-    registration = Registration()
-    clouds: dict[int, Cloud] = {}
-    truths: dict[int, FloatArray] = {}
-    with Bag(bag_path) as bag:
+    recording = Recording({}, {}, {}, Registration())
+    kinds = {CLOUDS: recording.clouds, MARKERS: recording.markers, TRUTH: recording.truth}
+    with Bag(path) as bag:
         for connection, _, data in bag.messages():
             topic = connection.topic.lstrip("/")
-            if topic not in ("registration", "surface_points", "organ_truth"):
-                continue
-            message = deserialize_message(data, message_type(connection.msgtype))
-            if topic == "registration":
-                registration.put(message)
-            elif topic == "surface_points":
-                cloud = read_cloud(message)
-                clouds[cloud.stamp_ns] = cloud
-            else:
-                cloud = read_cloud(message)
-                truths[cloud.stamp_ns] = cloud.points
-    with np.load(answers) as stored:
-        answered = dict(zip(stored["stamps"].tolist(), stored["positions"], strict=True))
-    usable = clouds.keys() & truths.keys() & answered.keys()
-    if not usable:
+            if topic == REGISTRATION:
+                recording.registration.put(deserialize_message(data, message_type(connection.msgtype)))
+            elif topic in kinds:
+                cloud = read_cloud(deserialize_message(data, message_type(connection.msgtype)))
+                kinds[topic][cloud.stamp_ns] = cloud
+    if not recording.clouds:
+        raise InvalidInputError(f"bag {path}: expected clouds on {CLOUDS}, got none")
+    return recording
+
+
+def draw(recording: Recording, organ_folder: Path, snapshot: Path, estimator: str, path: Path) -> None:
+    """Draw the frame of a snapshot (.npz of `score --snapshot`) into a PNG file.
+
+    Raises
+    ------
+    InvalidInputError
+        If the snapshot does not belong to the recording.
+    """
+    organ = load_organ(organ_folder)
+    with np.load(snapshot) as stored:
+        stamp, estimated, estimated_markers = int(stored["stamp"]), stored["positions"], stored["markers"]
+    cloud = recording.clouds.get(stamp)
+    if cloud is None or cloud.reference is None:
         raise InvalidInputError(
-            f"bag {bag_path}: expected an answered cloud with organ_truth of the same stamp, got"
-            f" {len(clouds)} clouds, {len(truths)} truths and {len(answered)} answers that do not meet"
+            f"snapshot: expected a recorded cloud of stamp {stamp} with ref_x ref_y ref_z, got none"
         )
-    stamp = min(usable, key=lambda candidate: abs(candidate - stamp_ns))
-    cloud = clouds[stamp]
-    if cloud.reference is None:
-        raise InvalidInputError("surface_points: expected fields ref_x ref_y ref_z, got none of them")
-    motion = registration.organ_from_cloud(cloud.frame, organ.frame, stamp)
-    return Snapshot(
-        seen=transform_points(motion, cloud.points),
-        seen_reference=cloud.reference,
-        truth=truths[stamp],
-        estimated=answered[stamp],
+    motion = recording.registration.organ_from_cloud(cloud.frame, organ.frame, stamp)
+    truth = recording.truth.get(stamp)
+    seconds = (stamp - min(recording.clouds)) / 1e9
+    markers = _markers(recording.markers.get(stamp), estimated_markers)
+    scene = Scene(
+        organ=organ,
+        reference=cloud.reference,
+        observed=transform_points(motion, cloud.points),
+        estimated=estimated,
+        true=None if truth is None else truth.points,
+        markers=markers,
+    )
+    title = f"{organ.name}, estimator {estimator}, {seconds:.1f} s into the recording"
+    draw_phantom(path, scene, title=title, caption=_caption(markers))
+
+
+def _markers(recorded: Cloud | None, estimated: FloatArray) -> Markers | None:
+    if recorded is None or recorded.reference is None or len(estimated) != len(recorded.points):
+        return None
+    return Markers(before=recorded.reference, estimated=estimated, true=recorded.points)
+
+
+def _caption(markers: Markers | None) -> str:
+    if markers is None:
+        return ""
+    before = 1e3 * np.linalg.norm(markers.before - markers.true, axis=1)
+    after = 1e3 * np.linalg.norm(markers.estimated - markers.true, axis=1)
+    return (
+        f"TRE of {len(after)} markers in this frame: before {before.mean():.1f} mm (max {before.max():.1f}),"
+        f" after {after.mean():.1f} mm (max {after.max():.1f})"
     )

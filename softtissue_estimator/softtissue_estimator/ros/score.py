@@ -4,6 +4,7 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +32,44 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         "--node", default="softtissue_estimator", help="name of the node (default softtissue_estimator)"
     )
     parser.add_argument("--report", type=Path, help="write the figures to this JSON file")
+    parser.add_argument("--snapshot", type=Path, help="write the estimate of one frame to this .npz file")
     parser.add_argument(
-        "--answers", type=Path, help="write stamps and positions of the answers to this .npz file"
+        "--snapshot-stamp", type=int, default=0, help="… of the first with this stamp (ns) or later"
     )
+    parser.add_argument("--organ", type=Path, help="… at all vertices of this organ (folder)")
     parser.add_argument("--title", default="score", help="heading of the table")
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    if options.snapshot is not None and options.organ is None:
+        parser.error("--snapshot: expected --organ too, got none")
+    return options
+
+
+class Snapshot:
+    """The estimate of one frame at all vertices of an organ and at the markers; asked for once.
+
+    Parameters
+    ----------
+    points : (q, 3) float64
+        Preoperative positions, m, organ frame.
+    stamp_ns : int
+        The first answer with this stamp or a later one is asked for, nanoseconds.
+    """
+
+    def __init__(self, points: FloatArray, stamp_ns: int) -> None:
+        self.points, self.stamp_ns = points, stamp_ns
+        self.asked = False
+        self.result: tuple[int, FloatArray] | None = None
+
+    def take(self, stamp_ns: int, points: FloatArray) -> None:
+        """Take the estimated positions (m) and the stamp of the cloud they come from."""
+        self.result = stamp_ns, points
+
+    def write(self, path: Path) -> None:
+        """Write stamp and positions to a .npz file."""
+        if self.result is not None:
+            stamp, points = self.result
+            vertices = len(self.points)
+            np.savez(path, stamp=stamp, positions=points[:vertices], markers=points[vertices:])
 
 
 class Listener:
@@ -46,21 +80,19 @@ class Listener:
     node : rclpy.node.Node
     name : str
         Name of the node under test.
-    keep_answers : bool
-        Whether to keep the positions of every answer.
+    snapshot : Snapshot, optional
     """
 
-    def __init__(self, node: Any, name: str, keep_answers: bool) -> None:
+    def __init__(self, node: Any, name: str, snapshot: Snapshot | None) -> None:
         from rclpy.qos import QoSProfile
         from sensor_msgs.msg import PointCloud2
         from softtissue_msgs.msg import EstimatorStatus
         from softtissue_msgs.srv import WarpPoints
 
         self.record = Record()
-        self.answers: dict[int, FloatArray] = {}
         self.last_news_s = time.monotonic()
         self.problem: str | None = None
-        self._keep_answers = keep_answers
+        self._snapshot = snapshot
         self._node, self._request = node, WarpPoints.Request
         self._client = node.create_client(WarpPoints, f"{name}/warp_points")
         qos = QoSProfile(depth=QUEUE)
@@ -84,27 +116,38 @@ class Listener:
         self.record.sent_ns[read_stamp(data)] = int(info["source_timestamp"])
 
     def _on_answer(self, message: Any) -> None:
-        from softtissue_estimator.ros.conversions import doubles, read_cloud, stamp_ns
+        from softtissue_estimator.ros.conversions import stamp_ns
 
         now = time.time_ns()
         self.last_news_s = time.monotonic()
         stamp = stamp_ns(message.header.stamp)
         self.record.answered_ns[stamp] = now
-        if self._keep_answers and message.width:
-            self.answers[stamp] = read_cloud(message).points
-        if self.record.reference is not None and self._client.service_is_ready():
-            request = self._request(points=doubles(self.record.reference))
-            self._client.call_async(request).add_done_callback(self._on_warped)
-
-    def _on_warped(self, future: Any) -> None:
-        from softtissue_estimator.ros.conversions import stamp_ns
-
-        response = future.result()
-        self.last_news_s = time.monotonic()
-        if response is None or response.result != response.SUCCESS:
+        if not self._client.service_is_ready():
             return
-        # The stamp says which cloud the estimate was made from, whichever answer prompted the question.
-        self.record.estimate[stamp_ns(response.header.stamp)] = np.asarray(response.points).reshape(-1, 3)
+        if self.record.reference is not None:
+            self._warp(self.record.reference, self._take_markers)
+        snapshot = self._snapshot
+        if snapshot is not None and not snapshot.asked and stamp >= snapshot.stamp_ns:
+            snapshot.asked = True
+            markers = self.record.reference
+            points = snapshot.points if markers is None else np.concatenate([snapshot.points, markers])
+            self._warp(points, snapshot.take)
+
+    def _warp(self, points: FloatArray, take: Callable[[int, FloatArray], None]) -> None:
+        """Ask where preoperative points (m, organ frame) are now; `take` gets stamp and positions."""
+        from softtissue_estimator.ros.conversions import doubles, stamp_ns
+
+        def on_response(future: Any) -> None:
+            response = future.result()
+            self.last_news_s = time.monotonic()
+            if response is not None and response.result == response.SUCCESS:
+                # The stamp says which cloud the estimate was made from, whichever answer prompted the question.
+                take(stamp_ns(response.header.stamp), np.asarray(response.points).reshape(-1, 3))
+
+        self._client.call_async(self._request(points=doubles(points))).add_done_callback(on_response)
+
+    def _take_markers(self, stamp: int, points: FloatArray) -> None:
+        self.record.estimate[stamp] = points
 
     def _on_truth(self, message: Any) -> None:
         from softtissue_estimator.errors import InvalidInputError
@@ -130,8 +173,13 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
     """Listen and print; return the exit code."""
     import rclpy
 
+    from softtissue_estimator.organ import load_organ
+
     node = rclpy.create_node("score")
-    listener = Listener(node, options.node, options.answers is not None)
+    snapshot = None
+    if options.snapshot is not None:
+        snapshot = Snapshot(load_organ(options.organ).query_points, options.snapshot_stamp)
+    listener = Listener(node, options.node, snapshot)
     spinner = Spinner(node, lambda error: stop.stop(1))
     while not stop.event.wait(0.1) and not listener.finished():
         pass
@@ -141,9 +189,8 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
     print(table(report, options.title), flush=True)
     if options.report is not None:
         options.report.write_text(json.dumps(report, indent=2) + "\n")
-    if options.answers is not None and listener.answers:
-        stamps = sorted(listener.answers)
-        np.savez(options.answers, stamps=stamps, positions=np.stack([listener.answers[s] for s in stamps]))
+    if snapshot is not None:
+        snapshot.write(options.snapshot)
     problems = failures(report) + ([listener.problem] if listener.problem else [])
     for problem in problems:
         print(f"error: {problem}", file=sys.stderr)
@@ -157,12 +204,17 @@ def main() -> None:
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import remove_ros_args
 
+    from softtissue_estimator.errors import SoftTissueError
     from softtissue_estimator.ros.transport import use_profile
 
     options = parse(remove_ros_args(sys.argv)[1:])
     use_profile()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    code = run(options, stop)
+    try:
+        code = run(options, stop)
+    except SoftTissueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        code = 2
     rclpy.try_shutdown()
     sys.exit(code)
 
