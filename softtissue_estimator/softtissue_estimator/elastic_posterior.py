@@ -18,9 +18,10 @@ no node exactly on its edge. The springs' rest positions follow an affine field 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky, eigh, solve_triangular
+from scipy.linalg import cholesky, eigh, solve_triangular
 from scipy.linalg.lapack import dtrtri
 from scipy.sparse import csr_array, diags_array, kron
+from scipy.sparse.linalg import splu
 
 from softtissue_estimator.elasticity import nodal_areas, stiffness
 from softtissue_estimator.errors import OrganError
@@ -110,18 +111,21 @@ def build_prior(
     surroundings = _nodal_volumes(mesh) * (ground / mesh.volumes.sum() ** (2.0 / 3.0))
     held = stiffness(mesh, poisson_ratio) + kron(csr_array(springs + diags_array(surroundings)), np.eye(3))
     try:
-        factor = cho_factor(held.toarray(), lower=True, overwrite_a=True)
-    except np.linalg.LinAlgError as error:
+        # Symmetric: the ordering is that of a Cholesky factorisation, and the pivots stay on the diagonal.
+        factor = splu(
+            held.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}, diag_pivot_thresh=0.0
+        )
+    except RuntimeError as error:
         raise OrganError(
             "elastic model: expected a stiffness that can be factorised, got a singular one"
         ) from error
-    response = cho_solve(factor, np.kron(_force_modes(mesh), np.eye(3)), overwrite_b=True)
+    response = factor.solve(np.kron(_force_modes(mesh), np.eye(3)))
     share = np.repeat(_nodal_volumes(mesh) / mesh.volumes.sum(), 3)
     variance, vectors = eigh((response * share[:, None]).T @ response)
     leading = np.argsort(variance)[::-1][:modes]
     basis = (response @ vectors[:, leading]) / np.sqrt(variance.sum() / 3.0)
     positions = np.column_stack([np.ones(count), mesh.nodes - centre])
-    lift = cho_solve(factor, np.kron(springs @ positions, np.eye(3)), overwrite_b=True)
+    lift = factor.solve(np.kron(springs @ positions, np.eye(3)))
     return ElasticPrior(
         modes=np.ascontiguousarray(basis.reshape(count, 3, -1)),
         lift=lift.reshape(count, 3, 12),

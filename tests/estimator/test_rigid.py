@@ -7,7 +7,7 @@ from estimator.shapes import rotation
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.rigid import fit_rigid
 
-POINTS = np.random.default_rng(0).uniform(-0.05, 0.05, (20, 3)) + [0.3, -0.2, 1.0]
+POINTS = np.array([0.3, -0.2, 1.0]) + np.random.default_rng(0).uniform(-0.05, 0.05, (20, 3))
 axis = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1)
 
 
