@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from softtissue_estimator.errors import InvalidInputError
 
+from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.material import Material
 from softtissue_training.sample import Sample
 
@@ -99,7 +99,9 @@ def list_records(data: Path) -> list[str]:
     if data.is_file():
         with _open_packed(data) as packed:
             return sorted(name for name in packed.namelist() if name.endswith(_SUFFIX))
-    raise InvalidInputError(f"simulations are read from a folder or a packed file, got {data}, which does not exist")
+    raise InvalidInputError(
+        f"simulations are read from a folder or a packed file, got {data}, which does not exist"
+    )
 
 
 def read_records(data: Path, names: list[str]) -> Iterator[bytes]:
@@ -136,4 +138,6 @@ def _open_packed(path: Path) -> zipfile.ZipFile:
     try:
         return zipfile.ZipFile(path)
     except zipfile.BadZipFile as error:
-        raise InvalidInputError(f"{path} must be a file written by `softtissue-train pack`, got: {error}") from error
+        raise InvalidInputError(
+            f"{path} must be a file written by `softtissue-train pack`, got: {error}"
+        ) from error

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
-from softtissue_estimator.mesh import SurfaceMesh, vertex_areas
 
+from softtissue_estimator.mesh import SurfaceMesh, vertex_areas
 from softtissue_training.errors import RejectedSampleError
 
 FloatArray = NDArray[np.float64]
@@ -78,7 +78,7 @@ def surface_distance(surface: SurfaceMesh, vertex: int, limit_m: float = np.inf)
 
     Vertices further than `limit_m` get infinity.
     """
-    result: FloatArray = dijkstra(edge_graph(surface), directed=False, indices=vertex, limit=limit_m)
+    result: FloatArray = dijkstra(edge_graph(surface), directed=False, indices=[vertex], limit=limit_m)[0]
     return result
 
 

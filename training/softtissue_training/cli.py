@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
-
 from softtissue_training.material import LAWS
 from softtissue_training.training_config import CONFIGS, get_config
 
@@ -43,16 +42,27 @@ def _parser() -> argparse.ArgumentParser:
         "sample and core, 60 kB each. The same command again adds what is missing.",
     )
     generate.add_argument("--count", type=_positive, required=True, metavar="N", help="samples in all")
-    generate.add_argument("--seed", type=int, required=True, metavar="S", help="the same seed gives the same samples")
+    generate.add_argument(
+        "--seed", type=int, required=True, metavar="S", help="the same seed gives the same samples"
+    )
     generate.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the records")
     generate.add_argument("--workers", type=_positive, default=1, metavar="N", help="processes (default: 1)")
     generate.add_argument(
         "--material", choices=LAWS, default="neo_hookean", help="law at large strain (default: neo_hookean)"
     )
+    generate.add_argument(
+        "--element-size",
+        type=float,
+        default=10.0,
+        metavar="MM",
+        help="edge length of the elements (default: 10)",
+    )
     generate.set_defaults(run=_generate)
 
     pack = commands.add_parser(
-        "pack", help="put a folder of simulations into one file", description="Make one file of a folder's records."
+        "pack",
+        help="put a folder of simulations into one file",
+        description="Make one file of a folder's records.",
     )
     pack.add_argument("folder", type=Path, metavar="DIR", help="folder written by `generate`")
     pack.add_argument("file", type=Path, metavar="FILE", help="file to write; `train --data FILE` reads it")
@@ -68,8 +78,12 @@ def _add_train(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description="Train the network. Simulations that are added meanwhile are used as they come. One in twenty is "
         "held out for validation; the weights with the lowest validation error are kept in OUT/best.safetensors.",
     )
-    train.add_argument("--data", type=Path, required=True, metavar="PATH", help="folder or packed file of simulations")
-    train.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of weights, log and settings")
+    train.add_argument(
+        "--data", type=Path, required=True, metavar="PATH", help="folder or packed file of simulations"
+    )
+    train.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder of weights, log and settings"
+    )
     train.add_argument(
         "--config",
         choices=tuple(CONFIGS),
@@ -77,11 +91,24 @@ def _add_train(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="paper: 4.7 mm cells; paper-coarse: 9.4 mm, a fifth of the work; tiny: for trying out (default: paper)",
     )
     train.add_argument(
-        "--time-limit", type=float, required=True, metavar="MINUTES", help="the run ends then, with the best weights"
+        "--time-limit",
+        type=float,
+        required=True,
+        metavar="MINUTES",
+        help="the run ends then, with the best weights",
     )
     train.add_argument("--resume", action="store_true", help="go on with the unfinished run in OUT")
     train.add_argument("--device", default="auto", help="auto, cpu or cuda (default: auto)")
-    train.add_argument("--threads", type=_positive, metavar="N", help="processor threads (default: all cores)")
+    train.add_argument(
+        "--threads", type=_positive, metavar="N", help="processor threads (default: all cores)"
+    )
+    train.add_argument(
+        "--workers",
+        type=_positive,
+        default=1,
+        metavar="N",
+        help="processes that voxelise simulations (default: 1)",
+    )
     train.add_argument("--bfloat16", action="store_true", help="convolutions in bfloat16")
     train.add_argument("--batch-size", type=_positive, metavar="N", help="samples a step")
     train.add_argument("--learning-rate", type=float, metavar="R", help="highest learning rate")
@@ -101,7 +128,14 @@ def _positive(text: str) -> int:
 def _generate(options: argparse.Namespace) -> int:
     from softtissue_training.generate import generate
 
-    rejected = generate(options.out, options.count, options.seed, law=options.material, workers=options.workers)
+    rejected = generate(
+        options.out,
+        options.count,
+        options.seed,
+        law=options.material,
+        workers=options.workers,
+        edge_length_m=1e-3 * options.element_size,
+    )
     print(f"{options.count} simulations in {options.out}")
     for reason, times in sorted(rejected.items()):
         print(f"  {times} draws rejected: {reason}")
@@ -117,8 +151,8 @@ def _pack(options: argparse.Namespace) -> int:
 
 def _train(options: argparse.Namespace) -> int:
     import torch
-    from softtissue_estimator.device import choose_device
 
+    from softtissue_estimator.device import choose_device
     from softtissue_training.train import STATE, RunOptions, train
 
     if (options.out / STATE).exists() and not options.resume:
@@ -126,7 +160,9 @@ def _train(options: argparse.Namespace) -> int:
     if options.threads is not None:
         torch.set_num_threads(options.threads)
     changes = {"batch_size": options.batch_size, "learning_rate": options.learning_rate}
-    config = get_config(options.config, **{name: value for name, value in changes.items() if value is not None})
+    config = get_config(
+        options.config, **{name: value for name, value in changes.items() if value is not None}
+    )
     result = train(
         options.data,
         options.out,
@@ -136,6 +172,7 @@ def _train(options: argparse.Namespace) -> int:
             validate_every_s=60.0 * options.validate_every,
             device=str(choose_device(options.device)),
             mixed_precision=options.bfloat16,
+            workers=options.workers,
             command=" ".join(["softtissue-train", *sys.argv[1:]]),
         ),
     )

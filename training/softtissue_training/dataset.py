@@ -14,6 +14,8 @@ import torch
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
+from torch import Tensor
+
 from softtissue_estimator.grid import VoxelGrid
 from softtissue_estimator.mesh import face_areas, sample_faces
 from softtissue_estimator.network_input import (
@@ -24,8 +26,6 @@ from softtissue_estimator.network_input import (
     to_batch,
     visible_displacement,
 )
-from torch import Tensor
-
 from softtissue_training.boundary_conditions import edge_graph, grow_patch
 from softtissue_training.sample import Sample
 from softtissue_training.voxel_target import voxel_displacement
@@ -112,7 +112,7 @@ def draw_visible(sample: PreparedSample, rng: np.random.Generator, share: Share)
         (k, 3) float32 metres.
     """
     seed_face = int(rng.choice(len(sample.areas), p=sample.areas / sample.areas.sum()))
-    from_seed = dijkstra(sample.graph, directed=False, indices=int(sample.faces[seed_face, 0]))
+    from_seed = dijkstra(sample.graph, directed=False, indices=[int(sample.faces[seed_face, 0])])[0]
     visible = grow_patch(from_seed, sample.faces, sample.areas, rng.uniform(*share))
     chosen = torch.from_numpy(visible[sample.point_face])
     return sample.points[chosen], sample.point_displacement[chosen]
@@ -143,9 +143,7 @@ def voxelise(
     return assemble_input(channels, visible, spec), target, mask
 
 
-def batches(
-    samples: Sequence[PreparedSample], size: int, rng: np.random.Generator
-) -> Iterator[list[int]]:
+def batches(samples: Sequence[PreparedSample], size: int, rng: np.random.Generator) -> Iterator[list[int]]:
     """Yield the indices of all samples once, in random batches whose grids have the same cell counts up to order.
 
     Axes can be exchanged (`augment`), so that 24 x 16 x 16 and 16 x 24 x 16 go together.

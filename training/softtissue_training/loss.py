@@ -30,7 +30,9 @@ def multi_resolution_loss(outputs: Sequence[Tensor], target: Tensor, mask: Tenso
         weight = functional.avg_pool3d(mask, factor) if factor > 1 else mask
         wanted = target
         if factor > 1:
-            wanted = functional.avg_pool3d(target * mask, factor) / weight.clamp_min(torch.finfo(mask.dtype).tiny)
+            wanted = functional.avg_pool3d(target * mask, factor) / weight.clamp_min(
+                torch.finfo(mask.dtype).tiny
+            )
         squared = (output.float() - wanted).square().sum(dim=1, keepdim=True)
         total = total + (weight * squared).mean()
     return total

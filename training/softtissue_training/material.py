@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
 from softtissue_estimator.errors import InvalidInputError
 
 FloatArray = NDArray[np.float64]

@@ -14,6 +14,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.mesh import SurfaceMesh
 
@@ -58,7 +59,12 @@ FAMILIES = (
     ShapeFamily(((0.030, 0.090),) * 3, (2.0, 3.0), (2, 7), (-0.25, 0.45), (0.0, 0.35), (0.0, 0.7)),
     # Liver-like: wide, flattened, thick on one side and thin on the other, hollow below.
     ShapeFamily(
-        ((0.070, 0.100), (0.050, 0.080), (0.028, 0.048)), (2.0, 3.0), (1, 4), (-0.2, 0.35), (0.25, 0.65), (0.3, 1.2)
+        ((0.070, 0.100), (0.050, 0.080), (0.028, 0.048)),
+        (2.0, 3.0),
+        (1, 4),
+        (-0.2, 0.35),
+        (0.25, 0.65),
+        (0.3, 1.2),
     ),
     # Few strong lobes: the paper's repeated extrusion.
     ShapeFamily(((0.030, 0.065),) * 3, (2.0, 2.5), (2, 4), (0.3, 0.9), (0.0, 0.3), (0.0, 0.6)),
@@ -120,11 +126,15 @@ def resample(mesh: SurfaceMesh, edge_length_m: float) -> SurfaceMesh:
     area = float(igl.doublearea(mesh.vertices, mesh.faces).sum()) / 2.0
     wanted_faces = int(area / (np.sqrt(3.0) / 4.0 * edge_length_m**2))
     if wanted_faces >= len(mesh.faces):
-        raise MeshError(f"resampling needs a finer surface: {wanted_faces} faces wanted, got {len(mesh.faces)}")
+        raise MeshError(
+            f"resampling needs a finer surface: {wanted_faces} faces wanted, got {len(mesh.faces)}"
+        )
     vertices, faces = igl.decimate(mesh.vertices, mesh.faces, wanted_faces)[:2]
     coarse = trimesh.Trimesh(vertices, faces, process=False)
     if not coarse.is_watertight or coarse.euler_number != 2:
-        raise MeshError(f"resampled surface must be closed and of genus 0, got Euler number {coarse.euler_number}")
+        raise MeshError(
+            f"resampled surface must be closed and of genus 0, got Euler number {coarse.euler_number}"
+        )
     return SurfaceMesh(_relaxed(coarse, mesh), np.asarray(coarse.faces, dtype=np.int64))
 
 
@@ -134,7 +144,9 @@ def _relaxed(coarse: trimesh.Trimesh, fine: SurfaceMesh, rounds: int = 4) -> Flo
     points = np.asarray(coarse.vertices, dtype=np.float64)
     for _ in range(rounds):
         moved = 0.5 * points + 0.5 * (averaging @ points)
-        points = np.asarray(igl.point_mesh_squared_distance(moved, fine.vertices, fine.faces)[2], dtype=np.float64)
+        points = np.asarray(
+            igl.point_mesh_squared_distance(moved, fine.vertices, fine.faces)[2], dtype=np.float64
+        )
     return points
 
 
@@ -167,7 +179,12 @@ def _bend(points: FloatArray, half_length: float, angle: float) -> FloatArray:
     rest = points[:, 0] - phi * radius
     arm = radius - points[:, 2]
     return np.stack(
-        [arm * np.sin(phi) + rest * np.cos(phi), points[:, 1], radius - arm * np.cos(phi) + rest * np.sin(phi)], axis=1
+        [
+            arm * np.sin(phi) + rest * np.cos(phi),
+            points[:, 1],
+            radius - arm * np.cos(phi) + rest * np.sin(phi),
+        ],
+        axis=1,
     )
 
 
@@ -176,7 +193,8 @@ def _twist(points: FloatArray, half_length: float, angle: float) -> FloatArray:
     phi = angle * np.tanh(points[:, 0] / half_length)
     cos, sin = np.cos(phi), np.sin(phi)
     return np.stack(
-        [points[:, 0], cos * points[:, 1] - sin * points[:, 2], sin * points[:, 1] + cos * points[:, 2]], axis=1
+        [points[:, 0], cos * points[:, 1] - sin * points[:, 2], sin * points[:, 1] + cos * points[:, 2]],
+        axis=1,
     )
 
 
@@ -193,8 +211,12 @@ def _smooth_field(points: FloatArray, rng: np.random.Generator, centres: int = 6
 def _check_size(mesh: SurfaceMesh) -> None:
     reach = float(np.abs(mesh.vertices).max())
     if reach > CUBE_SIDE_M / 2.0:
-        raise MeshError(f"organ must lie within {CUBE_SIDE_M / 2.0:.3f} m of the cube's centre, got {reach:.3f} m")
+        raise MeshError(
+            f"organ must lie within {CUBE_SIDE_M / 2.0:.3f} m of the cube's centre, got {reach:.3f} m"
+        )
     volume = float(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume)
     low, high = VOLUME_RANGE_M3
     if not low <= volume <= high:
-        raise MeshError(f"organ volume must be {low * 1e3:.1f} to {high * 1e3:.1f} litres, got {volume * 1e3:.2f}")
+        raise MeshError(
+            f"organ volume must be {low * 1e3:.1f} to {high * 1e3:.1f} litres, got {volume * 1e3:.2f}"
+        )

@@ -7,9 +7,9 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 from numpy.typing import NDArray
+
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.mesh import SurfaceMesh
-
 from softtissue_training.boundary_conditions import random_boundary_conditions
 from softtissue_training.errors import RejectedSampleError, SolverDivergedError
 from softtissue_training.material import Law, Material
@@ -101,7 +101,9 @@ def simulate(
             rejected[error.reason] = rejected.get(error.reason, 0) + 1
 
 
-def _draw(rng: np.random.Generator, seed: tuple[int, int], material: Material, edge_length_m: float) -> Sample:
+def _draw(
+    rng: np.random.Generator, seed: tuple[int, int], material: Material, edge_length_m: float
+) -> Sample:
     mesh = _random_mesh(rng, edge_length_m)
     count = len(mesh.surface.vertices)
     conditions = random_boundary_conditions(mesh.surface, rng)
@@ -147,7 +149,8 @@ def _check(mesh: TetMesh, displacement: NDArray[np.float64]) -> None:
     reach = float(np.abs(mesh.vertices + displacement).max())
     if reach > CUBE_SIDE_M / 2.0:
         raise RejectedSampleError(
-            "left the cube", f"the organ must stay within {CUBE_SIDE_M / 2.0} m of the centre, got {reach:.3f} m"
+            "left the cube",
+            f"the organ must stay within {CUBE_SIDE_M / 2.0} m of the centre, got {reach:.3f} m",
         )
 
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from softtissue_estimator.errors import InvalidInputError
 
+from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.errors import SolverDivergedError
 from softtissue_training.linear_solver import make_solver
 from softtissue_training.material import Material
@@ -69,7 +69,7 @@ def solve(
     tets
         (t, 4) positively oriented elements.
     fixed
-        (n,) true where the displacement is prescribed in all three components.
+        (n,) true where the displacement is prescribed in all three components, or (n, 3) by component.
     force
         (n, 3) newtons.
     prescribed
@@ -85,6 +85,8 @@ def solve(
         No equilibrium within `max_iterations`.
     """
     _check(vertices, tets, fixed, force)
+    if fixed.ndim == 1:
+        fixed = np.repeat(fixed[:, None], 3, axis=1)
     body = _Body(vertices, tets, fixed, material)
     displacement = np.zeros_like(vertices, dtype=np.float64)
     if prescribed is not None:
@@ -95,7 +97,7 @@ def solve(
         scale = max(float(np.linalg.norm(force)), float(np.linalg.norm(internal)), 1e-12)
         residual = float(np.linalg.norm(unbalanced)) / scale
         if residual < tolerance:
-            reaction = np.where(fixed[:, None], internal - force, 0.0)
+            reaction = np.where(fixed, internal - force, 0.0)
             return Solution(displacement, reaction, iteration, residual)
         if iteration < max_iterations:
             displacement = _newton_step(body, displacement, force, unbalanced)
@@ -107,18 +109,22 @@ def solve(
 
 def _follow_prescribed(body: _Body, displacement: FloatArray, prescribed: FloatArray) -> FloatArray:
     """Start from the linear answer to the prescribed displacement, shortened until no element is inverted."""
-    moved = np.where(body.fixed[:, None], prescribed, 0.0)
+    moved = np.where(body.fixed, prescribed, 0.0)
     if not np.any(moved):
         return displacement
     right_hand_side = -body.stiffness_times(displacement, moved)[body.free]
     start = moved.copy()
     start[body.free] = body.solve_tangent(displacement, right_hand_side, projected=False)
     if not np.isfinite(body.energy(start)):
-        raise SolverDivergedError("the prescribed displacement inverts elements; prescribe it in smaller steps")
+        raise SolverDivergedError(
+            "the prescribed displacement inverts elements; prescribe it in smaller steps"
+        )
     return start
 
 
-def _newton_step(body: _Body, displacement: FloatArray, force: FloatArray, unbalanced: FloatArray) -> FloatArray:
+def _newton_step(
+    body: _Body, displacement: FloatArray, force: FloatArray, unbalanced: FloatArray
+) -> FloatArray:
     before = body.energy(displacement) - float(np.sum(force * displacement))
     for projected in (False, True):
         step = np.zeros_like(displacement)
@@ -148,10 +154,12 @@ class _Body:
         edges = np.swapaxes(vertices[tets[:, 1:]] - vertices[tets[:, :1]], 1, 2)
         self.volume = np.linalg.det(edges) / 6.0
         if self.volume.min() <= 0.0:
-            raise InvalidInputError(f"tetrahedra must be positively oriented, got a volume of {self.volume.min():.3g}")
+            raise InvalidInputError(
+                f"tetrahedra must be positively oriented, got a volume of {self.volume.min():.3g}"
+            )
         inner = np.linalg.inv(edges)
         self.gradient = np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)  # (t, 4, 3) of N_a
-        self.free = np.repeat(~fixed[:, None], 3, axis=1)
+        self.free = ~fixed
         self._vertex_count = len(vertices)
         self._map_pattern()
 
@@ -180,18 +188,23 @@ class _Body:
         return float(self.volume @ self.material.energy(self.deformation_gradient(displacement)))
 
     def internal_force(self, displacement: FloatArray) -> FloatArray:
-        """Derivative of the elastic energy, (n, 3) newtons."""
+        """Return the derivative of the elastic energy, (n, 3) newtons."""
         stress = self.material.stress(self.deformation_gradient(displacement))
         shares = self.gradient @ np.swapaxes(stress, 1, 2) * self.volume[:, None, None]
         nodes = self.tets.ravel()
         return np.stack(
-            [np.bincount(nodes, shares[..., i].ravel(), minlength=self._vertex_count) for i in range(3)], axis=1
+            [np.bincount(nodes, shares[..., i].ravel(), minlength=self._vertex_count) for i in range(3)],
+            axis=1,
         )
 
-    def solve_tangent(self, displacement: FloatArray, right_hand_side: FloatArray, *, projected: bool) -> FloatArray:
+    def solve_tangent(
+        self, displacement: FloatArray, right_hand_side: FloatArray, *, projected: bool
+    ) -> FloatArray:
         """Solve K(u) x = b on the free degrees of freedom."""
-        values = self._element_stiffness(displacement, projected=projected).ravel()[self._kept]
-        return self._solver.solve(np.bincount(self._slot, values, minlength=self._entries), right_hand_side)
+        entries = self._element_stiffness(displacement, projected=projected).ravel()[self._kept]
+        values = np.zeros(self._entries)
+        np.add.at(values, self._slot, entries)
+        return self._solver.solve(values, right_hand_side)
 
     def stiffness_times(self, displacement: FloatArray, direction: FloatArray) -> FloatArray:
         """K(u) times a displacement, (n, 3) newtons, over all degrees of freedom."""
@@ -211,19 +224,20 @@ class _Body:
         operator = np.zeros((count, 3, 3, 4, 3))  # dF[i, J] / du[a, i]
         for i in range(3):
             operator[:, i, :, :, i] = np.swapaxes(self.gradient, 1, 2)
-        operator = operator.reshape(count, 9, 12)
-        result: FloatArray = np.swapaxes(operator, 1, 2) @ (tangent @ operator) * self.volume[:, None, None]
+        matrix = operator.reshape(count, 9, 12)
+        result: FloatArray = np.swapaxes(matrix, 1, 2) @ (tangent @ matrix) * self.volume[:, None, None]
         return result
 
 
 def _check(vertices: FloatArray, tets: IntArray, fixed: BoolArray, force: FloatArray) -> None:
     count = len(vertices)
-    if vertices.shape != (count, 3) or force.shape != (count, 3) or fixed.shape != (count,):
+    if vertices.shape != (count, 3) or force.shape != (count, 3) or fixed.shape not in ((count,), (count, 3)):
         raise InvalidInputError(
-            "vertices and force must be (n, 3) and fixed (n,), "
+            "vertices and force must be (n, 3) and fixed (n,) or (n, 3), "
             f"got {vertices.shape}, {force.shape} and {fixed.shape}"
         )
     if tets.ndim != 2 or tets.shape[1] != 4 or tets.min() < 0 or tets.max() >= count:
         raise InvalidInputError(f"tets must be (t, 4) indices below {count}, got the shape {tets.shape}")
-    if int(fixed.sum()) < 3:
-        raise InvalidInputError(f"at least 3 vertices must be fixed, got {int(fixed.sum())}")
+    components = int(fixed.sum()) * (3 if fixed.ndim == 1 else 1)
+    if components < 6:
+        raise InvalidInputError(f"at least 6 components must be fixed to hold a body, got {components}")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import gmsh
 import numpy as np
 from numpy.typing import NDArray
+
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.mesh import SurfaceMesh
 
@@ -69,11 +70,10 @@ def tetrahedralise(surface: SurfaceMesh, element_size_m: float = 0.010) -> TetMe
     try:
         vertices, tets = _fill(surface)
     except Exception as error:  # Gmsh raises bare Exception
+        # What a failed fill leaves behind makes the next one fail too.
+        gmsh.finalize()
         raise MeshError(f"the surface could not be filled with tetrahedra: {error}") from error
-    finally:
-        gmsh.model.remove()
-    if len(tets) == 0:
-        raise MeshError("the surface could not be filled with tetrahedra: Gmsh returned none")
+    gmsh.model.remove()
     return _checked(TetMesh(vertices, tets, surface.faces), surface)
 
 
@@ -90,6 +90,8 @@ def _fill(surface: SurfaceMesh) -> tuple[FloatArray, IntArray]:
     order = np.argsort(tags)
     tags, coordinates = tags[order], coordinates.reshape(-1, 3)[order]
     _, nodes = gmsh.model.mesh.getElementsByType(_TETRAHEDRON)
+    if len(nodes) == 0:
+        raise MeshError("Gmsh returned no tetrahedra")
     tets = np.searchsorted(tags, nodes).reshape(-1, 4).astype(np.int64)
     if not np.array_equal(tags[:count], np.arange(1, count + 1)):
         raise MeshError("Gmsh renumbered the surface's vertices")
@@ -104,7 +106,9 @@ def _checked(mesh: TetMesh, surface: SurfaceMesh) -> TetMesh:
     tets[flipped] = tets[flipped][:, [0, 1, 3, 2]]
     quality = radius_ratio(mesh.vertices, tets)
     if quality.min() < MINIMUM_QUALITY:
-        raise MeshError(f"tetrahedra need a radius ratio of at least {MINIMUM_QUALITY}, got {quality.min():.3f}")
+        raise MeshError(
+            f"tetrahedra need a radius ratio of at least {MINIMUM_QUALITY}, got {quality.min():.3f}"
+        )
     corners = surface.vertices[surface.faces]
     enclosed = float(np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6.0
     filled = float(np.abs(volumes).sum())

@@ -4,35 +4,42 @@ from __future__ import annotations
 
 import copy
 import csv
-import hashlib
 import json
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from softtissue_estimator.checkpoint import save_checkpoint
-from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.network import UNet, initialise
-from torch import Tensor, nn
+from torch import Tensor
 from tqdm import tqdm
 
-from softtissue_training.archive import digest, list_records, parse_sample, read_records
+from softtissue_estimator.checkpoint import save_checkpoint
+from softtissue_estimator.network import UNet, initialise
 from softtissue_training.augment import random_orientation
-from softtissue_training.dataset import PreparedSample, batches, draw_visible, prepare, voxelise
+from softtissue_training.dataset import PreparedSample, batches, draw_visible, voxelise
 from softtissue_training.errors import TrainingFailedError
 from softtissue_training.loss import multi_resolution_loss
-from softtissue_training.sample import Sample
+from softtissue_training.precision import restrict_autocast
+from softtissue_training.simulation_set import SimulationSet
 from softtissue_training.training_config import TrainingConfig
 from softtissue_training.training_state import Progress, load_state, save_state
 from softtissue_training.validation import Validation, ValidationResult
 
 WEIGHTS, STATE, CONFIG, LOG = "best.safetensors", "state.safetensors", "config.json", "log.csv"
-_COLUMNS = ("step", "seconds", "samples", "learning_rate", "loss", "error_mm", "displacement_mm", "rigid_error_mm")
+_COLUMNS = (
+    "step",
+    "seconds",
+    "samples",
+    "learning_rate",
+    "loss",
+    "error_mm",
+    "displacement_mm",
+    "rigid_error_mm",
+)
 _CLIP_NORM = 1.0
 
 
@@ -50,6 +57,8 @@ class RunOptions:
         Torch device.
     mixed_precision
         Convolutions in bfloat16.
+    workers
+        Processes that voxelise simulations.
     command
         Command line, for the checkpoint's provenance.
     """
@@ -58,6 +67,7 @@ class RunOptions:
     validate_every_s: float = 240.0
     device: str = "cpu"
     mixed_precision: bool = False
+    workers: int = 1
     command: str = ""
 
 
@@ -78,57 +88,29 @@ def train(data: Path, out: Path, config: TrainingConfig, options: RunOptions) ->
     """
     out.mkdir(parents=True, exist_ok=True)
     (out / CONFIG).write_text(json.dumps(config.to_json(), indent=2))
-    dataset = _Dataset(data, config)
+    dataset = SimulationSet(data, config, options.workers)
     dataset.rescan()
     run = _Run(out, config, options, dataset)
     return run.until_time_is_over()
 
 
-@dataclass
-class _Dataset:
-    """Prepared samples, growing while simulations are added."""
-
-    data: Path
-    config: TrainingConfig
-    training: list[PreparedSample] = field(default_factory=list)
-    held_out: list[PreparedSample] = field(default_factory=list)
-    hashes: dict[str, str] = field(default_factory=dict)
-
-    def rescan(self, limit: int | None = None) -> None:
-        """Prepare records that are new; at most `limit` of them."""
-        new = [name for name in list_records(self.data) if name not in self.hashes][:limit]
-        records = tqdm(read_records(self.data, new), total=len(new), desc="voxelising", unit="sim", leave=False)
-        for name, content in zip(new, records, strict=True):
-            self._add(parse_sample(content, f"{name} in {self.data}")[0])
-            self.hashes[name] = hashlib.sha256(content).hexdigest()
-        if not self.training or not self.held_out:
-            raise InvalidInputError(
-                f"{self.data} must hold at least {self.config.validation_every + 1} simulations, "
-                f"got {len(self.hashes)}"
-            )
-
-    def _add(self, sample: Sample) -> None:
-        # By number, so that what is held out does not depend on which records exist yet.
-        if sample.seed[1] % self.config.validation_every != 0:
-            self.training.append(prepare(sample, self.config.spec))
-        elif len(self.held_out) < self.config.validation_samples:
-            self.held_out.append(prepare(sample, self.config.spec))
-
-
 class _Run:
     """Network, optimiser and clock of one training run."""
 
-    def __init__(self, out: Path, config: TrainingConfig, options: RunOptions, dataset: _Dataset) -> None:
+    def __init__(
+        self, out: Path, config: TrainingConfig, options: RunOptions, dataset: SimulationSet
+    ) -> None:
         self.out, self.config, self.options, self.dataset = out, config, options, dataset
         self.device = torch.device(options.device)
         self.network = UNet(config.spec.architecture).to(self.device)
         self.average = copy.deepcopy(self.network).requires_grad_(False)
-        if self.device.type == "cpu":
-            _keep_full_precision(self.network.bottleneck)
+        restrict_autocast(self.network, self.device)
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
         self.progress = Progress()
         if (out / STATE).exists():
-            self.progress = load_state(out / STATE, self.network, self.average, self.optimiser, config.to_json())
+            self.progress = load_state(
+                out / STATE, self.network, self.average, self.optimiser, config.to_json()
+            )
         # Another stream after an interruption, or the same patches would come again.
         self.rng = np.random.default_rng([config.seed, self.progress.step])
         self._validation = self._make_validation()
@@ -158,7 +140,11 @@ class _Run:
     def _make_validation(self) -> Validation:
         rng = np.random.default_rng([self.config.seed, 0xDA7A])
         return Validation(
-            list(self.dataset.held_out), self.config.spec, self.config.validation_visible_share, rng, self.device
+            list(self.dataset.held_out),
+            self.config.spec,
+            self.config.validation_visible_share,
+            rng,
+            self.device,
         )
 
     def _initialise(self) -> None:
@@ -168,7 +154,9 @@ class _Run:
         example = voxelise(largest, points, displacement, self.config.spec, self.device)[0]
         generator = torch.Generator(self.device).manual_seed(self.config.seed)
         reached = initialise(self.network, example, generator=generator)
-        tqdm.write("output standard deviation of each layer: " + " ".join(f"{std:.2f}" for std in reached.values()))
+        tqdm.write(
+            "output standard deviation of each layer: " + " ".join(f"{std:.2f}" for std in reached.values())
+        )
         self.average.load_state_dict(self.network.state_dict())
 
     def _endless_batches(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
@@ -180,7 +168,7 @@ class _Run:
                     break
 
     def _batch(self, samples: list[PreparedSample]) -> tuple[Tensor, Tensor, Tensor]:
-        shape = samples[0].grid.shape
+        shape: tuple[int, ...] = samples[0].grid.shape
         if self.config.exchange_axes:
             shape = tuple(shape[axis] for axis in self.rng.permutation(3))
         parts = []
@@ -192,7 +180,9 @@ class _Run:
         return inputs, target, mask
 
     def _learn(self, inputs: Tensor, target: Tensor, mask: Tensor) -> None:
-        rate = learning_rate(self.config, self.progress.step, self.progress.seconds / self.options.time_limit_s)
+        rate = learning_rate(
+            self.config, self.progress.step, self.progress.seconds / self.options.time_limit_s
+        )
         for group in self.optimiser.param_groups:
             group["lr"] = rate
         with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.options.mixed_precision):
@@ -239,7 +229,7 @@ class _Run:
             "command": self.options.command,
             "config": self.config.to_json(),
             "simulations": len(self.dataset.training),
-            "data_sha256": digest(self.dataset.hashes),
+            "data_sha256": self.dataset.digest(),
             "steps": self.progress.step,
             "seconds": round(self.progress.seconds),
             "validation_error_mm": round(1e3 * result.error, 3),
@@ -268,22 +258,6 @@ class _Run:
         self._losses.clear()
 
 
-def _keep_full_precision(module: nn.Module) -> None:
-    """Exempt a module from autocast.
-
-    On CPUs, the bfloat16 weight gradients of wide convolutions on grids of 2 x 2 x 2 cells are now and then not finite
-    (torch 2.13 with AVX-512).
-    """
-    forward = module.forward
-
-    def without_autocast(inputs: Tensor) -> Tensor:
-        with torch.autocast(inputs.device.type, enabled=False):
-            output: Tensor = forward(inputs.float())
-        return output
-
-    module.forward = without_autocast  # type: ignore[method-assign]
-
-
 def learning_rate(config: TrainingConfig, step: int, share: float) -> float:
     """Return the learning rate: a linear rise over the first steps, then half a cosine of the share of time spent.
 
@@ -295,5 +269,3 @@ def learning_rate(config: TrainingConfig, step: int, share: float) -> float:
     """
     warmup = min(1.0, (step + 1) / max(1, config.warmup_steps))
     return config.learning_rate * warmup * 0.5 * (1.0 + math.cos(math.pi * min(1.0, share)))
-
-

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from softtissue_estimator.errors import InvalidInputError
@@ -44,7 +44,7 @@ class TrainingConfig:
     """
 
     name: str = "paper"
-    spec: NetworkSpec = NetworkSpec()
+    spec: NetworkSpec = field(default_factory=NetworkSpec)
     batch_size: int = 2
     learning_rate: float = 3e-4
     warmup_steps: int = 200
@@ -74,7 +74,10 @@ CONFIGS = {
             spacing=0.30 / 16,
             margin_cells=1,
             architecture=UNetArchitecture(
-                widths=(8, 8, 16, 16), encoder_convolutions=1, bottleneck_convolutions=2, decoder_convolutions=1
+                widths=(8, 8, 16, 16),
+                encoder_convolutions=1,
+                bottleneck_convolutions=2,
+                decoder_convolutions=1,
             ),
         ),
         warmup_steps=10,

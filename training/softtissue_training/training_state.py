@@ -10,9 +10,10 @@ from typing import Any
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
+from torch import Tensor
+
 from softtissue_estimator.errors import CheckpointError
 from softtissue_estimator.network import UNet
-from torch import Tensor
 
 
 @dataclass
@@ -38,7 +39,12 @@ class Progress:
 
 
 def save_state(
-    path: Path, network: UNet, average: UNet, optimiser: torch.optim.Adam, progress: Progress, config: dict[str, Any]
+    path: Path,
+    network: UNet,
+    average: UNet,
+    optimiser: torch.optim.Adam,
+    progress: Progress,
+    config: dict[str, Any],
 ) -> None:
     """Write everything that a later run needs to go on."""
     tensors: dict[str, Tensor] = {}

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
+
 from softtissue_estimator.network import UNet
 from softtissue_estimator.network_input import NetworkSpec
 from softtissue_estimator.rigid import fit_rigid
-from torch import Tensor
-
 from softtissue_training.dataset import PreparedSample, draw_visible, voxelise
 
 

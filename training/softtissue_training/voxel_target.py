@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+
 from softtissue_estimator.grid import VoxelGrid
 
 FloatArray = NDArray[np.float64]
@@ -67,6 +68,10 @@ def _locate(grid: VoxelGrid, vertices: FloatArray, tets: IntArray) -> tuple[IntA
     last = np.einsum("kij,kj->ki", inverse[tet], centre - corners[tet, 0])
     barycentric = np.concatenate([1.0 - last.sum(axis=1, keepdims=True), last], axis=1)
     tolerance = 1e-9
-    hit = (barycentric >= -tolerance).all(axis=1) & (centre >= 0).all(axis=1) & (centre < np.array(grid.shape)).all(axis=1)
+    hit = (
+        (barycentric >= -tolerance).all(axis=1)
+        & (centre >= 0).all(axis=1)
+        & (centre < np.array(grid.shape)).all(axis=1)
+    )
     flat = np.ravel_multi_index(tuple(centre[hit].T), grid.shape)
     return flat, tet[hit], barycentric[hit]

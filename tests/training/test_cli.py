@@ -1,0 +1,41 @@
+import pytest
+
+from softtissue_training.archive import list_records
+from softtissue_training.cli import main
+
+
+def test_help_names_every_command(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--help"])
+    assert ended.value.code == 0
+    shown = capsys.readouterr().out
+    assert all(command in shown for command in ("generate", "pack", "train"))
+
+
+def test_pack_and_train(data_folder, tmp_path, capsys):
+    packed = tmp_path / "sims.pack"
+    assert main(["pack", str(data_folder), str(packed)]) == 0
+    arguments = ["train", "--data", str(packed), "--out", str(tmp_path / "run"), "--config", "tiny"]
+    assert main([*arguments, "--time-limit", "0.01", "--threads", "1"]) == 0
+    assert (tmp_path / "run" / "best.safetensors").is_file()
+    assert "validation error" in capsys.readouterr().out
+    assert main([*arguments, "--time-limit", "0.01"]) == 2
+    assert "add --resume to go on" in capsys.readouterr().err
+
+
+def test_wrong_data_ends_with_code_2_and_one_sentence(tmp_path, capsys):
+    missing = tmp_path / "nothing"
+    arguments = ["train", "--data", str(missing), "--out", str(tmp_path / "run"), "--time-limit", "1"]
+    assert main(arguments) == 2
+    message = capsys.readouterr().err
+    assert str(missing) in message
+    assert "Traceback" not in message
+    assert main(["pack", str(missing), str(tmp_path / "file")]) == 2
+
+
+def test_generate_simulates_in_worker_processes(data_folder, tmp_path, capsys):
+    arguments = ["generate", "--count", "2", "--seed", "3", "--workers", "2", "--element-size", "20"]
+    assert main([*arguments, "--out", str(tmp_path)]) == 0
+    assert "2 simulations" in capsys.readouterr().out
+    for name in list_records(tmp_path):
+        assert (tmp_path / name).read_bytes() == (data_folder / name).read_bytes()

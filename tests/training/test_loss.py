@@ -1,0 +1,51 @@
+import pytest
+import torch
+from torch.nn import functional
+
+from softtissue_training.loss import multi_resolution_loss
+
+
+def _problem():
+    generator = torch.Generator().manual_seed(1)
+    mask = (torch.rand(2, 1, 16, 8, 8, generator=generator) < 0.5).float()
+    target = torch.randn(2, 3, 16, 8, 8, generator=generator) * mask
+    return target, mask
+
+
+def test_only_cells_inside_the_organ_count():
+    target, mask = _problem()
+    generator = torch.Generator().manual_seed(2)
+    output = torch.randn(target.shape, generator=generator)
+    outside = output + 100.0 * (1 - mask)
+    inside = output + 1.0 * mask
+    reference = multi_resolution_loss([output], target, mask)
+    torch.testing.assert_close(multi_resolution_loss([outside], target, mask), reference)
+    assert multi_resolution_loss([inside], target, mask) > reference
+
+
+def test_value_is_the_squared_length_averaged_over_all_cells():
+    mask = torch.zeros(1, 1, 8, 8, 8)
+    mask[0, 0, :2, :2, :2] = 1.0
+    target = mask.expand(-1, 3, -1, -1, -1) * torch.tensor([1.0, 2.0, 2.0]).view(1, 3, 1, 1, 1)
+    expected = 9.0 * 8 / 512
+    assert float(multi_resolution_loss([torch.zeros_like(target)], target, mask)) == pytest.approx(expected)
+
+
+def test_resolutions_are_added_and_coarse_targets_are_means_inside():
+    target, mask = _problem()
+    coarse = functional.avg_pool3d(target, 4) / functional.avg_pool3d(mask, 4)
+    assert float(multi_resolution_loss([coarse], target, mask)) == pytest.approx(0.0, abs=1e-10)
+    wrong = coarse + 1.0
+    only = float(multi_resolution_loss([wrong], target, mask))
+    assert only == pytest.approx(3.0 * float(mask.mean()), rel=1e-5)
+    both = float(multi_resolution_loss([wrong, torch.zeros_like(target)], target, mask))
+    assert both == pytest.approx(only + float(target.square().sum(1).mean()), rel=1e-5)
+
+
+def test_empty_coarse_cells_do_not_spoil_the_gradient():
+    mask = torch.zeros(1, 1, 8, 8, 8)
+    mask[0, 0, 0, 0, 0] = 1.0
+    output = torch.zeros(1, 3, 2, 2, 2, requires_grad=True)
+    multi_resolution_loss([output], torch.ones(1, 3, 8, 8, 8) * mask, mask).backward()
+    assert torch.isfinite(output.grad).all()
+    assert (output.grad != 0).sum() == 3

@@ -1,0 +1,159 @@
+"""The finite elements against closed forms and against another implementation."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.spatial import Delaunay
+
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_training.errors import SolverDivergedError
+from softtissue_training.material import LAWS, Material
+from softtissue_training.solver import solve
+from softtissue_training.tetrahedralise import signed_volumes
+
+
+def _block(cells=3, seed=0):
+    """Unit cube of tetrahedra with irregular inner vertices: vertices (n, 3), tets (t, 4)."""
+    rng = np.random.default_rng(seed)
+    axis = np.linspace(0.0, 1.0, cells + 1)
+    vertices = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    inner = ((vertices > 0) & (vertices < 1)).all(axis=1)
+    vertices[inner] += rng.uniform(-0.1, 0.1, size=(int(inner.sum()), 3))
+    # Joggled so that the Delaunay cells of the regular lattice are not degenerate.
+    tets = Delaunay(vertices + rng.uniform(-1e-4, 1e-4, size=vertices.shape)).simplices.astype(np.int64)
+    volumes = signed_volumes(vertices, tets)
+    tets[volumes < 0] = tets[volumes < 0][:, [0, 1, 3, 2]]
+    tets = tets[np.abs(volumes) > 1e-6]
+    assert signed_volumes(vertices, tets).sum() == pytest.approx(1.0, abs=1e-9)
+    return vertices, tets
+
+
+def _face_loads(vertices, tets, axis):
+    """Return the area that each vertex carries of the cube's face at coordinate 1 along an axis, (n,)."""
+    loads = np.zeros(len(vertices))
+    for corners in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)):
+        triangles = tets[:, corners]
+        triangles = triangles[(vertices[triangles][..., axis] > 1 - 1e-9).all(axis=1)]
+        a, b, c = (vertices[triangles[:, i]] for i in range(3))
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+        for i in range(3):
+            np.add.at(loads, triangles[:, i], area / 3.0)
+    assert loads.sum() == pytest.approx(1.0)
+    return loads
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_patch_test_reproduces_a_homogeneous_deformation(law):
+    vertices, tets = _block()
+    gradient = np.array([[0.15, 0.08, -0.05], [-0.04, -0.10, 0.12], [0.06, 0.02, 0.09]])
+    exact = vertices @ gradient.T
+    boundary = ((vertices == 0) | (vertices == 1)).any(axis=1)
+    solution = solve(
+        vertices, tets, boundary, np.zeros_like(vertices), Material(law), prescribed=exact, tolerance=1e-11
+    )
+    assert (~boundary).sum() == 8
+    np.testing.assert_allclose(solution.displacement, exact, atol=1e-9)
+
+
+def _transverse_stretch(material, stretch):
+    """Stretch across a bar that is pulled freely, from zero stress on its sides."""
+    lam, mu = material.lame_pa
+    if material.law == "st_venant_kirchhoff":
+        return np.sqrt(1.0 - material.poisson_ratio * (stretch**2 - 1.0))
+    return brentq(lambda t: mu * (t - 1 / t) + lam * np.log(stretch * t**2) / t, 0.3, 2.0, xtol=1e-14)
+
+
+def _nominal_stress(material, stretch):
+    """Force over reference area in uniaxial tension."""
+    if material.law == "st_venant_kirchhoff":
+        return 0.5 * material.youngs_modulus_pa * stretch * (stretch**2 - 1.0)
+    _, mu = material.lame_pa
+    return mu * (stretch - _transverse_stretch(material, stretch) ** 2 / stretch)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("stretch", [0.85, 1.1, 1.6])
+def test_uniaxial_tension(law, stretch):
+    material = Material(law)
+    vertices, tets = _block()
+    sliding = vertices == 0.0  # each of three faces slides in its own plane
+    force = np.zeros_like(vertices)
+    force[:, 0] = _face_loads(vertices, tets, 0) * _nominal_stress(material, stretch)
+    solution = solve(vertices, tets, sliding, force, material, tolerance=1e-11)
+    across = _transverse_stretch(material, stretch)
+    exact = vertices * (np.array([stretch, across, across]) - 1.0)
+    np.testing.assert_allclose(solution.displacement, exact, atol=1e-8)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_reactions_balance_load_and_moment(law):
+    vertices, tets = _block()
+    fixed = vertices[:, 0] == 0.0
+    force = np.zeros_like(vertices)
+    force[vertices[:, 0] == 1.0] = [2.0, 3.0, -4.0]
+    solution = solve(vertices, tets, fixed, force, Material(law), tolerance=1e-10)
+    moved = vertices + solution.displacement
+    size = np.linalg.norm(force.sum(axis=0))
+    assert np.abs(solution.displacement).max() > 0.05
+    np.testing.assert_allclose(solution.reaction.sum(axis=0), -force.sum(axis=0), atol=1e-8 * size)
+    moment = np.cross(moved, force + solution.reaction).sum(axis=0)
+    np.testing.assert_allclose(moment, 0.0, atol=1e-7 * size)
+
+
+@pytest.mark.filterwarnings("ignore:Sparse CSR tensor support:UserWarning")
+def test_large_bending_agrees_with_torch_fem():
+    torch = pytest.importorskip("torch")
+    torchfem = pytest.importorskip("torchfem")
+    from torchfem.materials import Hyperelastic3D
+
+    material = Material("neo_hookean", 1700.0, 0.35)
+    lam, mu = material.lame_pa
+
+    def energy(gradient, parameters):
+        right = gradient.transpose(-1, -2) @ gradient
+        log_j = 0.5 * torch.logdet(right)
+        return (
+            parameters[0] / 2 * (torch.trace(right) - 3)
+            - parameters[0] * log_j
+            + parameters[1] / 2 * log_j**2
+        )
+
+    vertices, tets = _block()
+    vertices = vertices * [0.3, 0.1, 0.1]
+    fixed = vertices[:, 0] == 0.0
+    force = np.zeros_like(vertices)
+    force[vertices[:, 0] == 0.3] = [0.0, 0.0, 0.04]
+    ours = solve(vertices, tets, fixed, force, material, tolerance=1e-9)
+    assert ours.displacement[:, 2].max() > 0.1  # a third of the length: far from linear
+
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    try:
+        body = torchfem.Solid(
+            torch.tensor(vertices), torch.tensor(tets), Hyperelastic3D(energy, torch.tensor([mu, lam]))
+        )
+        body.constraints = torch.tensor(np.repeat(fixed[:, None], 3, axis=1))
+        body.forces = torch.tensor(force)
+        theirs = body.solve(torch.linspace(0.0, 1.0, 6), max_iter=30, rtol=1e-9, atol=1e-9)[0]
+    finally:
+        torch.set_default_dtype(before)
+    np.testing.assert_allclose(ours.displacement, theirs.numpy(), atol=1e-7)
+
+
+def test_a_load_without_equilibrium_is_reported():
+    vertices, tets = _block()
+    force = np.zeros_like(vertices)
+    force[vertices[:, 0] == 1.0] = [-1e4, 0.0, 0.0]  # St Venant-Kirchhoff collapses under compression
+    with pytest.raises(SolverDivergedError, match="got|energy"):
+        solve(
+            vertices, tets, vertices[:, 0] == 0.0, force, Material("st_venant_kirchhoff"), max_iterations=15
+        )
+
+
+def test_inverted_elements_and_loose_bodies_are_refused():
+    vertices, tets = _block()
+    force = np.zeros_like(vertices)
+    with pytest.raises(InvalidInputError, match="positively oriented"):
+        solve(vertices, tets[:, [1, 0, 2, 3]], vertices[:, 0] == 0.0, force, Material())
+    with pytest.raises(InvalidInputError, match="at least 6 components must be fixed to hold a body, got 3"):
+        solve(vertices, tets, np.arange(len(vertices)) == 0, force, Material())
