@@ -8,6 +8,7 @@ At small strain the shear modulus is 2 (c10 + c01) and the bulk modulus kappa. L
 those that make the training data; nothing here is shared with an estimator.
 """
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -149,7 +150,7 @@ class Body:
                 f"got shape {attached.shape} with {np.count_nonzero(attached)} set"
             )
         constants = [material.c10_pa, material.c01_pa, material.bulk_modulus_pa]
-        with _double_precision():
+        with _torch_fem_settings():
             law = _Law(energy_density, torch.tensor(constants))
             self._model = Solid(torch.tensor(mesh.nodes), torch.tensor(mesh.elements), law)
             self._rest = torch.eye(3).expand(self._model.n_int, self._model.n_elem, 3, 3).clone()
@@ -216,7 +217,7 @@ class Body:
     ) -> tuple[FloatArray, sparse.csr_array | None]:
         """Return internal forces ``(n, 3)`` N (NaN if an element is inverted) and the free tangent stiffness, N/m."""
         model = self._model
-        with _double_precision(), torch.no_grad():
+        with _torch_fem_settings(), torch.no_grad():
             zero = torch.zeros(0)
             model.K = zero
             stiffness, element_force, gradient, _, _ = model.integrate_material(
@@ -245,11 +246,13 @@ class Body:
 
 
 @contextmanager
-def _double_precision() -> Iterator[None]:
-    """torch-fem creates its arrays in torch's default precision."""
+def _torch_fem_settings() -> Iterator[None]:
+    """torch-fem creates its arrays in torch's default precision, and its sparse matrices with a warning of torch's."""
     before = torch.get_default_dtype()
     torch.set_default_dtype(torch.float64)
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+            yield
     finally:
         torch.set_default_dtype(before)
