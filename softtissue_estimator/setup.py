@@ -41,6 +41,7 @@ setup(
         "rosbags",
         "safetensors",
         "scipy",
+        "threadpoolctl",
         "torch",
         "trimesh",
     ],

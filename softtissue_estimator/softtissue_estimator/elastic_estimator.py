@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
+from threadpoolctl import ThreadpoolController
 
 from softtissue_estimator.cache import Arrays, cached_arrays
 from softtissue_estimator.config import EstimatorConfig
@@ -107,6 +108,9 @@ class ElasticEstimator(Estimator):
     def __init__(self, config: EstimatorConfig) -> None:
         self._config = config
         self._prepared: _Prepared | None = None
+        # Matrices of 200 x 200 gain nothing from threads, and on a busy machine threads that wait for each other
+        # turn milliseconds into hundreds.
+        self._threads = ThreadpoolController()
 
     def load_organ(self, organ: Organ, progress: Progress = silent) -> None:
         """See `Estimator.load_organ`."""
@@ -134,6 +138,10 @@ class ElasticEstimator(Estimator):
         prepared = self._prepared
         if prepared is None:
             raise InvalidInputError("elastic estimator: expected load_organ before estimate, got no organ")
+        with self._threads.limit(limits=1, user_api="blas"):
+            return self._estimate(observation, prepared)
+
+    def _estimate(self, observation: Observation, prepared: _Prepared) -> ElasticEstimate:
         clock = _Clock()
         patches = _average(observation, prepared.lookup, self._config.model_sigma_m)
         clock.stage("match")
