@@ -360,3 +360,28 @@ def test_announced_clouds_that_do_not_arrive_are_reported(slow):
         reason = client.wait(lambda: [s.reason for s in client.statuses if s.level == 2], "status", 10.0)[0]
         assert "/surface_points: expected a cloud" in reason and "FASTDDS_DEFAULT_PROFILES_FILE" in reason
         node.wait_for_text("FASTDDS_DEFAULT_PROFILES_FILE", 5.0)
+
+
+def test_network_answers_with_weights_of_its_own(folder, scene, tmp_path):
+    torch = pytest.importorskip("torch")
+    from softtissue_estimator.checkpoint import save_checkpoint
+    from softtissue_estimator.network import UNet, UNetArchitecture
+    from softtissue_estimator.network_input import NetworkSpec
+
+    torch.manual_seed(0)
+    spec = NetworkSpec(spacing=0.008, margin_cells=2, architecture=UNetArchitecture(widths=(4, 4, 4, 8)))
+    save_checkpoint(tmp_path / "small.safetensors", UNet(spec.architecture), spec, {})
+    parameters = {"organ": folder, "estimator": "paper", "device": "cpu"} | LENIENT
+    parameters["checkpoint"] = tmp_path / "small.safetensors"
+    domain = new_domain()
+    with NodeProcess(domain, tmp_path, parameters) as node, Client(domain) as client:
+        client.wait_until_connected()
+        client.clouds.publish(scene.cloud(stamp := next(stamps)))
+        points = read_answer(client.answer_of(stamp))
+        status = client.status_of(stamp)
+        assert (status.estimator, status.device) == ("paper", "cpu")
+        assert np.isnan(points["sigma"]).all(), "the paper's network says nothing about its error"
+        assert np.isfinite(points["dx"]).all() and np.abs(points["dx"]).max() > 0.0
+        response = client.call(WarpPoints, "warp_points", WarpPoints.Request(points=[0.0, 0.0, 0.0]))
+        assert response.result == WarpPoints.Response.SUCCESS and np.isnan(response.sigma[0])
+        assert node.stop(signal.SIGTERM) == 0

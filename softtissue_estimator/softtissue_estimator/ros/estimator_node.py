@@ -25,7 +25,7 @@ from softtissue_estimator.organ import load_organ
 from softtissue_estimator.resources import bundled_organ
 from softtissue_estimator.ros import parameters
 from softtissue_estimator.ros.counters import FrameCounters
-from softtissue_estimator.ros.frames import Frame
+from softtissue_estimator.ros.frames import Frame, unmoved
 from softtissue_estimator.ros.intake import Intake, Received
 from softtissue_estimator.ros.markers import MarkerBuffer
 from softtissue_estimator.ros.registration import Registration, tf_source
@@ -205,6 +205,8 @@ class EstimatorNode(LifecycleNode):
         organ = load_organ(path)
         estimator = create_estimator(self._config)
         estimator.load_organ(organ, say)
+        # Libraries set themselves up in the first estimate, which would make the first cloud late.
+        estimator.estimate(unmoved(organ, self._config))
         markers = MarkerBuffer(organ, self._config.no_data_timeout_s)
         say(
             f"organ {organ.name!r} with {len(organ.structures)} structures is ready after"

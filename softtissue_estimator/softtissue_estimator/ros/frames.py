@@ -11,7 +11,7 @@ from softtissue_msgs.msg import Correspondences
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimator import Estimate, Estimator
-from softtissue_estimator.observation import make_observation
+from softtissue_estimator.observation import Observation, make_observation
 from softtissue_estimator.organ import Organ
 from softtissue_estimator.ros.conversions import Cloud, read_cloud, read_correspondences
 from softtissue_estimator.ros.registration import Registration, transform_points
@@ -155,6 +155,12 @@ def _correspondences(
             f"cloud: expected finite ref_x ref_y ref_z in some points, got none in {len(tracked)} points"
         )
     return cloud.points[tracked], cloud.reference[tracked], None
+
+
+def unmoved(organ: Organ, config: EstimatorConfig) -> Observation:
+    """Return an observation of the whole surface at its preoperative place."""
+    vertices = organ.surface.vertices
+    return Observation(vertices, np.zeros_like(vertices), np.full(len(vertices), config.default_sigma_m))
 
 
 def doubts(answer: Answer, total_s: float, config: EstimatorConfig) -> list[str]:

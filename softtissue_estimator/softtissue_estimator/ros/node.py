@@ -2,7 +2,7 @@
 
 import sys
 
-from softtissue_estimator.ros.runtime import Spinner, StopRequest, leave
+from softtissue_estimator.ros.runtime import Spinner, StopRequest, leave, limit_threads
 
 # What the process waits for after a signal: callbacks and the estimate in work, s.
 PATIENCE_S = 2.0
@@ -13,6 +13,7 @@ CRASH = 1
 def main() -> None:
     """Run until SIGINT or SIGTERM (exit code 0), or until the start fails (exit code 2)."""
     stop = StopRequest()
+    limit_threads()
     import traceback
 
     import rclpy

@@ -11,6 +11,16 @@ from typing import Any
 # Nothing heavy is imported here: signals must be caught before that begins.
 
 
+def limit_threads() -> None:
+    """Keep linear algebra on one thread unless the user has said otherwise; call before numpy is imported.
+
+    The matrices of a frame are small. OpenBLAS's threads wait for each other by spinning, and where something else
+    takes one of the cores, a frame of 15 ms becomes one of 2 s.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+
 class StopRequest:
     """Set by SIGINT or SIGTERM, or by the program itself.
 

@@ -1,0 +1,87 @@
+"""The main job on the bundled phantom, as `make demo` does it, at twice the recorded rate."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
+pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
+
+from integration.harness import executable, new_domain
+
+DEMO = [sys.executable, "-m", "softtissue_estimator.ros.demo"]
+
+
+def environment():
+    return os.environ | {"ROS_DOMAIN_ID": str(new_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
+def processes_of(name):
+    """Command lines of running processes that mention a name."""
+    listing = subprocess.run(["ps", "-eww", "-o", "args"], capture_output=True, text=True, check=True).stdout
+    return [line for line in listing.splitlines() if name in line]
+
+
+@pytest.mark.timeout(300)
+def test_demo_reports_frames_latency_and_error(tmp_path):
+    out = tmp_path / "out"
+    command = [*DEMO, "--estimator", "elastic", "--rate", "2", "--out", str(out)]
+    result = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+    report = json.loads((out / "report.json").read_text())
+    frames, latency, errors = report["frames"], report["latency_ms"], report["tre_mm"]
+    assert frames["sent"] == 100
+    assert frames["answered"] + frames["dropped"] == 100 and frames["answered"] >= 20
+    assert 0.0 < latency["p50"] <= latency["p95"] <= latency["max"]
+    # What the recording is said to be: markers that move 20 to 50 mm at its peak.
+    assert 20.0 < errors["peak"]["before"]["mean"] <= errors["peak"]["before"]["max"] < 50.0
+    assert errors["after"]["mean"] <= 0.5 * errors["before"]["mean"]
+    assert len(errors["markers"]) == 6
+    assert report["estimators"]["elastic"]["tre_mm"] == errors
+    assert (out / "phantom.png").read_bytes().startswith(b"\x89PNG")
+    assert "marker 6" in result.stdout
+    assert processes_of(str(out)) == []
+
+
+def test_demo_without_a_bag_says_so(tmp_path):
+    command = [*DEMO, "--bag", str(tmp_path / "nothing"), "--out", str(tmp_path / "out")]
+    result = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    assert "expected a bag folder" in result.stderr and "Traceback" not in result.stderr
+
+
+def test_interrupted_demo_leaves_no_processes(tmp_path):
+    out = tmp_path / "out"
+    command = [*DEMO, "--estimator", "elastic", "--out", str(out)]
+    demo = subprocess.Popen(
+        command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    end = time.monotonic() + 60.0
+    while len(processes_of(str(out))) < 2:
+        assert time.monotonic() < end and demo.poll() is None
+        time.sleep(0.1)
+    demo.send_signal(signal.SIGTERM)
+    _, errors = demo.communicate(timeout=60.0)
+    assert demo.returncode != 0
+    assert "Traceback" not in errors
+    assert processes_of(str(out)) == []
+
+
+@pytest.mark.parametrize(
+    ("program", "arguments", "words"),
+    [
+        ("replay", ["nowhere.mcap"], "expected a bag folder"),
+        ("replay", ["nowhere.mcap", "--rate", "0"], "expected a positive number"),
+        ("score", ["--snapshot", "x.npz"], "expected --organ"),
+    ],
+)
+def test_wrong_arguments_are_one_sentence_and_exit_code_2(program, arguments, words):
+    command = [str(executable(program)), *arguments]
+    result = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
+    assert result.returncode == 2
+    assert words in result.stderr and "Traceback" not in result.stderr
