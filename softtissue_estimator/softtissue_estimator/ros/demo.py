@@ -217,7 +217,10 @@ def _judge(default: str, reports: dict[str, dict[str, Any]]) -> int:
     """Print what is wrong; frames count for every estimator, the error for the default one."""
     code = 0
     for estimator, report in reports.items():
-        for sentence in failures(report):
+        sentences = failures(report)
+        if "after" not in report["tre_mm"]:
+            sentences.append("target registration error: expected displaced markers to score, got none")
+        for sentence in sentences:
             counts = estimator == default or sentence.startswith("frames")
             print(f"{'error' if counts else 'note'}: estimator {estimator}: {sentence}", file=sys.stderr)
             code = 1 if counts else code

@@ -167,6 +167,9 @@ class Listener:
     def _on_status(self, message: Any) -> None:
         self.last_news_s = time.monotonic()
         self.record.dropped, self.record.refused = int(message.frames_dropped), int(message.frames_refused)
+        if message.level != message.INVALID:
+            for name, seconds in zip(message.stage_names, message.stage_seconds, strict=True):
+                self.record.stages.setdefault(name, []).append(float(seconds))
 
 
 def run(options: argparse.Namespace, stop: StopRequest) -> int:
