@@ -12,11 +12,6 @@ from softtissue_estimator.picture import Markers, Scene, draw_phantom
 SHIFT = np.array([0.012, 0.0, 0.004])
 
 
-@pytest.fixture(autouse=True)
-def small_pictures(monkeypatch):
-    monkeypatch.setattr("softtissue_estimator.picture._PANEL", (500, 700))
-
-
 @pytest.fixture(scope="module")
 def organ():
     surface = sphere(0.05, subdivisions=3)
@@ -25,7 +20,7 @@ def organ():
     return make_organ("ball", "organ", surface, (tumour, vessel), surface.vertices[:, 1] > 0.04)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def scene(organ):
     reference = organ.surface.vertices[organ.surface.vertices[:, 1] < -0.04]
     inner = np.array([[0.01, 0.0, 0.01], [-0.01, 0.0, -0.02]])
@@ -44,6 +39,23 @@ def replaced(scene, **changes):
     return Scene(**{**values, **changes})
 
 
+@pytest.fixture(scope="module")
+def pictures(scene, tmp_path_factory):
+    """Small pictures of an estimate that is off by 1.3 mm, of an exact one, and of structures without a truth."""
+    folder = tmp_path_factory.mktemp("pictures") / "new"
+    alone = scene.estimated[: len(scene.organ.structure_points)]
+    front = (0.0, -1.0, 0.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("DISPLAY", raising=False)
+        patch.setattr("softtissue_estimator.picture._PANEL", (500, 700))
+        draw_phantom(folder / "off.png", scene, title="A ball", caption="shifted", direction=front)
+        exact = replaced(scene, estimated=scene.true, markers=None)
+        draw_phantom(folder / "exact.png", exact, direction=front)
+        unknown = replaced(scene, estimated=alone, true=None, markers=None)
+        draw_phantom(folder / "unknown.png", unknown, direction=front)
+    return {path.stem: imread(path) for path in folder.iterdir()}
+
+
 def panel(image, number, of):
     width = image.shape[1] // of
     return image[int(0.15 * len(image)) : int(0.8 * len(image)), number * width : (number + 1) * width, :3]
@@ -54,49 +66,36 @@ def yellow(pixels):
     return (pixels[..., 0] > 0.45) & (pixels[..., 1] > 0.4) & (pixels[..., 2] < 0.35 * pixels[..., 0])
 
 
-def test_three_panels_show_the_tumour_where_it_was_and_where_it_is_estimated(scene, tmp_path, monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    path = tmp_path / "new" / "picture.png"
-    draw_phantom(path, scene, title="A ball", caption="shifted", direction=(0.0, -1.0, 0.0))
-    image = imread(path)
-    before, during = (yellow(panel(image, number, 3)) for number in range(2))
-    assert before.sum() > 500
-    assert during.sum() > 500
-    centre = [np.argwhere(part).mean(axis=0) for part in (before, during)]
+def dark(pixels):
+    """Whether pixels are dark violet, the lowest colour of the error's scale, above the colour bar."""
+    upper = pixels[: int(0.7 * len(pixels))]
+    return (upper.max(axis=-1) < 0.35) & (np.ptp(upper, axis=-1) > 0.04)
+
+
+def test_tumour_is_shown_where_it_was_and_where_it_is_estimated(pictures):
+    before, during = (yellow(panel(pictures["off"], number, 3)) for number in range(2))
+    assert before.sum() > 500 and during.sum() > 500
+    moved = np.argwhere(during).mean(axis=0) - np.argwhere(before).mean(axis=0)
     # Seen from the front, the shift is to the right (more columns) and upwards (fewer rows), three to one.
-    moved = centre[1] - centre[0]
     assert moved[1] > 10.0
     assert moved[0] / moved[1] == pytest.approx(-1.0 / 3.0, abs=0.12)
 
 
-def dark(path):
-    """Count of dark violet pixels, the lowest colours of the error's scale, above the colour bar."""
-    drawn = panel(imread(path), 2, 3)
-    pixels = drawn[: int(0.7 * len(drawn))]
-    return np.count_nonzero((pixels.max(axis=-1) < 0.35) & (np.ptp(pixels, axis=-1) > 0.04))
+def test_colour_of_the_structures_tells_their_error(pictures):
+    assert dark(panel(pictures["exact"], 2, 3)).sum() > 1000
+    assert dark(panel(pictures["off"], 2, 3)).sum() < 100
 
 
-def test_colour_of_the_structures_tells_their_error(scene, tmp_path):
-    draw_phantom(tmp_path / "exact.png", replaced(scene, estimated=scene.true, markers=None))
-    draw_phantom(tmp_path / "off.png", replaced(scene, markers=None))
-    assert dark(tmp_path / "exact.png") > 1000
-    assert dark(tmp_path / "off.png") < 100
+def test_without_the_truth_there_are_two_panels(pictures):
+    assert pictures["unknown"].shape[1] / pictures["off"].shape[1] == pytest.approx(2.0 / 3.0, abs=0.01)
+    assert yellow(panel(pictures["unknown"], 1, 2)).sum() > 500
 
 
-def test_without_the_truth_there_is_no_error_panel(scene, tmp_path):
-    draw_phantom(tmp_path / "all.png", scene)
-    draw_phantom(tmp_path / "two.png", replaced(scene, true=None, markers=None))
-    whole, part = imread(tmp_path / "all.png"), imread(tmp_path / "two.png")
-    assert part.shape[1] / whole.shape[1] == pytest.approx(2.0 / 3.0, abs=0.01)
-
-
-def test_estimate_of_the_structures_alone_is_drawn_in_the_true_organ(scene, tmp_path):
+def test_estimate_of_the_structures_alone_takes_the_true_surface_if_there_is_one(scene):
     alone = replaced(scene, estimated=scene.estimated[: len(scene.organ.structure_points)])
     np.testing.assert_allclose(alone.surface.vertices, scene.organ.surface.vertices + SHIFT)
     np.testing.assert_allclose(scene.surface.vertices, scene.organ.surface.vertices + 0.9 * SHIFT)
     assert replaced(alone, true=None).surface is None
-    draw_phantom(tmp_path / "picture.png", replaced(alone, true=None))
-    assert yellow(panel(imread(tmp_path / "picture.png"), 1, 2)).sum() > 500
 
 
 def test_structures_take_their_own_positions_in_order(scene):
