@@ -1,5 +1,6 @@
 """Real processes and real DDS for the tests: start the installed node, talk to it, wait on conditions."""
 
+import contextlib
 import itertools
 import os
 import signal
@@ -119,9 +120,12 @@ class NodeProcess:
         return self
 
     def __exit__(self, *exception):
-        if self.process.poll() is None:
-            os.killpg(self.process.pid, signal.SIGKILL)
-            self.process.wait(10)
+        # In order if possible: a killed process leaves its segment of shared memory behind.
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            if self.process.poll() is None:
+                self.send(number)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    self.process.wait(10)
         self._file.close()
         if exception[0] is not None:
             sys.stderr.write(f"--- {self.log}\n{self.text}\n")

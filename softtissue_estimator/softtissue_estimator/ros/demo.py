@@ -98,7 +98,8 @@ def process(command: list[str], **keywords: Any) -> Iterator["subprocess.Popen[s
 
 
 def _end(child: "subprocess.Popen[str]") -> None:
-    for number, patience in ((signal.SIGINT, STOP_TIMEOUT_S), (signal.SIGKILL, STOP_TIMEOUT_S)):
+    # Not SIGINT, at which a Python that has only just been started prints a traceback.
+    for number, patience in ((signal.SIGTERM, STOP_TIMEOUT_S), (signal.SIGKILL, STOP_TIMEOUT_S)):
         if child.poll() is None:
             os.killpg(child.pid, number)
         try:
