@@ -16,6 +16,10 @@ from softtissue_estimator.errors import CheckpointError
 from softtissue_estimator.network import UNet
 
 
+_CHANGEABLE = ("learning_rate",)
+"""Settings that may change when a run goes on."""
+
+
 @dataclass
 class Progress:
     """Where a run stands.
@@ -80,11 +84,7 @@ def load_state(
             tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise CheckpointError(f"training state {path} is damaged: {error}") from error
-    if metadata.get("config") != json.dumps(config):
-        raise CheckpointError(
-            f"a run goes on with the settings it began with: expected {metadata.get('config')}, "
-            f"got {json.dumps(config)}; choose another folder for a new run"
-        )
+    _check_settings(json.loads(metadata.get("config", "{}")), config)
     network.load_state_dict(_with_prefix(tensors, "network."))
     average.load_state_dict(_with_prefix(tensors, "average."))
     for name, weight in network.named_parameters():
@@ -98,6 +98,20 @@ def load_state(
                 key: value if key == "step" else value.to(weight.device) for key, value in state.items()
             }
     return Progress(**json.loads(metadata["progress"]))
+
+
+def _check_settings(began: dict[str, Any], now: dict[str, Any]) -> None:
+    # Through JSON, because it turns tuples into lists.
+    changed = {
+        name: (began.get(name), value)
+        for name, value in json.loads(json.dumps(now)).items()
+        if name not in _CHANGEABLE and began.get(name) != value
+    }
+    if changed:
+        listed = "; ".join(f"{name}: expected {old}, got {new}" for name, (old, new) in changed.items())
+        raise CheckpointError(
+            f"a run goes on with the settings it began with, or in another folder. {listed}"
+        )
 
 
 def _with_prefix(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
