@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -91,13 +91,11 @@ class EstimatorNode(LifecycleNode):
         self.create_timer(1.0, self._on_second, clock=steady)
 
     def _create_services(self) -> None:
-        # Loading waits for a thread; a group of its own lets everything else go on meanwhile.
-        self.create_service(
-            LoadOrgan, "~/load_organ", self._on_load_organ, callback_group=ReentrantCallbackGroup()
-        )
-        quick = MutuallyExclusiveCallbackGroup()
-        self.create_service(WarpPoints, "~/warp_points", self._on_warp_points, callback_group=quick)
-        self.create_service(Reset, "~/reset", self._on_reset, callback_group=quick)
+        # Their callbacks wait for threads; in a group that lets everything else go on meanwhile.
+        waiting = ReentrantCallbackGroup()
+        self.create_service(LoadOrgan, "~/load_organ", self._on_load_organ, callback_group=waiting)
+        self.create_service(WarpPoints, "~/warp_points", self._on_warp_points, callback_group=waiting)
+        self.create_service(Reset, "~/reset", self._on_reset)
 
     # Life cycle
 
@@ -259,17 +257,29 @@ class EstimatorNode(LifecycleNode):
 
     # Services
 
+    async def _in_thread(self, work: Callable[[], None]) -> None:
+        """Await work done in a thread of its own, so that clouds are taken meanwhile."""
+        future = self.executor.create_future()
+
+        def run() -> None:
+            try:
+                work()
+            except Exception as error:
+                self._on_crash(error)
+            future.set_result(None)
+            # The executor looks at the awaiting callback again only when something wakes it.
+            self.executor.wake()
+
+        threading.Thread(target=run, name="service", daemon=True).start()
+        await future
+
     async def _on_load_organ(
         self, request: LoadOrgan.Request, response: LoadOrgan.Response
     ) -> LoadOrgan.Response:
-        future = self.executor.create_future()
-        threading.Thread(
-            target=self._load_organ, args=(request.folder, response, future), name="load", daemon=True
-        ).start()
-        await future
+        await self._in_thread(lambda: self._load_organ(request.folder, response))
         return response
 
-    def _load_organ(self, folder: str, response: LoadOrgan.Response, future: Any) -> None:
+    def _load_organ(self, folder: str, response: LoadOrgan.Response) -> None:
         try:
             with self._loading:
                 engine = self._make_engine(folder) if self._responder.configured else None
@@ -283,17 +293,13 @@ class EstimatorNode(LifecycleNode):
         except SoftTissueError as error:
             self.get_logger().error(str(error))
             loaded(response, None, str(error), invalid=True)
-        except Exception as error:
-            self._on_crash(error)
-        finally:
-            future.set_result(None)
-            self.executor.wake()
 
-    def _on_warp_points(
+    async def _on_warp_points(
         self, request: WarpPoints.Request, response: WarpPoints.Response
     ) -> WarpPoints.Response:
-        active = self._intake is not None
-        return answer_warp(request, response, active, self._responder.answer, self._registration)
+        active, answer = self._intake is not None, self._responder.answer
+        await self._in_thread(lambda: answer_warp(request, response, active, answer, self._registration))
+        return response
 
     def _on_reset(self, _request: Reset.Request, response: Reset.Response) -> Reset.Response:
         if not self._responder.configured:

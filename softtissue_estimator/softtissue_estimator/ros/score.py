@@ -19,6 +19,7 @@ FloatArray = NDArray[np.float64]
 QUEUE = 200
 # After this long without anything new, frames that are still open will not be answered any more, s.
 SETTLE_S = 10.0
+MATCH_S = 0.3
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
@@ -95,12 +96,27 @@ class Listener:
         self._snapshot = snapshot
         self._node, self._request = node, WarpPoints.Request
         self._client = node.create_client(WarpPoints, f"{name}/warp_points")
-        qos = QoSProfile(depth=QUEUE)
-        node.create_subscription(EstimatorStatus, f"{name}/status", self._on_status, qos)
-        node.create_subscription(PointCloud2, f"{name}/deformed_points", self._on_answer, qos)
-        node.create_subscription(PointCloud2, "markers_truth", self._on_truth, qos)
+        self._qos = QoSProfile(depth=QUEUE)
+        self._answers = [
+            node.create_subscription(EstimatorStatus, f"{name}/status", self._on_status, self._qos),
+            node.create_subscription(PointCloud2, f"{name}/deformed_points", self._on_answer, self._qos),
+        ]
+        node.create_subscription(PointCloud2, "markers_truth", self._on_truth, self._qos)
+        self._clouds: Any = None
+
+    def connected(self) -> bool:
+        """Say whether the node's answers will be heard."""
+        heard = all(subscription.get_publisher_count() > 0 for subscription in self._answers)
+        return heard and bool(self._client.service_is_ready())
+
+    def listen(self) -> None:
+        """Subscribe to the clouds; a replay that waits for this subscriber begins."""
+        from sensor_msgs.msg import PointCloud2
+
         # Only the time of publication is of interest, so the cloud is not deserialised.
-        self._clouds = node.create_subscription(PointCloud2, "surface_points", self._on_cloud, qos, raw=True)
+        self._clouds = self._node.create_subscription(
+            PointCloud2, "surface_points", self._on_cloud, self._qos, raw=True
+        )
 
     def finished(self) -> bool:
         """Say whether the clouds' publisher is gone and nothing more will come."""
@@ -184,6 +200,11 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
         snapshot = Snapshot(load_organ(options.organ).query_points, options.snapshot_stamp)
     listener = Listener(node, options.node, snapshot)
     spinner = Spinner(node, lambda error: stop.stop(1))
+    while not stop.event.wait(0.1) and not listener.connected():
+        pass
+    # Both sides of a match come into effect a little apart.
+    stop.event.wait(MATCH_S)
+    listener.listen()
     while not stop.event.wait(0.1) and not listener.finished():
         pass
     spinner.stop(2.0)

@@ -31,31 +31,31 @@ def answer_warp(
     active: bool,
     answer: Answer | None,
     registration: Registration,
-) -> WarpPoints.Response:
-    """Move points through the present estimate."""
+) -> None:
+    """Fill the answer of `~/warp_points`: move points through the present estimate."""
     codes = WarpPoints.Response
     if not active:
         response.result, response.message = codes.NOT_ACTIVE, "expected an active node, got one that is not"
-        return response
+        return
     if answer is None:
         response.result = codes.NO_ESTIMATE
         response.message = (
             "expected an estimate, got none: no cloud was answered yet, or the last one was refused"
         )
-        return response
+        return
     points = np.asarray(request.points, dtype=np.float64)
     if points.size == 0 or points.size % 3 or not np.isfinite(points).all():
         response.result = codes.INVALID_POINTS
         response.message = f"points: expected 3 finite numbers for each point, got {points.size} numbers"
         if points.size and points.size % 3 == 0:
             response.message = "points: expected finite numbers, got some that are not"
-        return response
+        return
     frame = request.header.frame_id or answer.organ.frame
     try:
         motion = registration.organ_from_cloud(frame, answer.organ.frame, answer.stamp_ns)
     except InvalidInputError as error:
         response.result, response.message = codes.WRONG_FRAME, str(error).replace("cloud", "points")
-        return response
+        return
     reference = transform_points(motion, points.reshape(-1, 3))
     displacement, sigma = answer.estimate.displacement_at(reference)
     response.header.frame_id = answer.organ.frame
@@ -63,4 +63,3 @@ def answer_warp(
     response.points = doubles(reference + displacement)
     response.displacement = doubles(displacement)
     response.sigma = doubles(np.full(len(reference), np.nan) if sigma is None else sigma)
-    return response
