@@ -114,24 +114,8 @@ class ElasticEstimator(Estimator):
 
     def load_organ(self, organ: Organ, progress: Progress = silent) -> None:
         """See `Estimator.load_organ`."""
-        parameters = {"poisson_ratio": self._config.poisson_ratio, "modes": MODES}
-        stored = cached_arrays("tetrahedra", organ.digest, _VERSION, {}, lambda: _fill(organ, progress))
-        mesh = VolumeMesh(stored["nodes"], stored["tets"])
-        arrays = cached_arrays(
-            "elastic",
-            organ.digest,
-            _VERSION,
-            parameters,
-            lambda: _prepare(organ, mesh, self._config, progress),
-        )
-        self._prepared = _Prepared(
-            organ,
-            organ.surface_lookup,
-            mesh,
-            ElasticPrior(arrays["modes"], arrays["lift"], arrays["centre"], float(arrays["kept"])),
-            arrays["sample_tet"],
-            _interpolation(mesh, organ.query_points, arrays["query_tet"]),
-        )
+        with self._threads.limit(limits=1, user_api="blas"):
+            self._prepared = _load(organ, self._config, progress)
 
     def estimate(self, observation: Observation) -> ElasticEstimate:
         """See `Estimator.estimate`."""
@@ -166,6 +150,25 @@ class ElasticEstimator(Estimator):
         )
         clock.stage("warp")
         return estimate
+
+
+def _load(organ: Organ, config: EstimatorConfig, progress: Progress) -> _Prepared:
+    parameters = {"poisson_ratio": config.poisson_ratio, "modes": MODES}
+    stored = cached_arrays("tetrahedra", organ.digest, _VERSION, {}, lambda: _fill(organ, progress))
+    mesh = VolumeMesh(stored["nodes"], stored["tets"])
+    # The tetrahedra differ a little whenever they are made anew; what belongs to others must not be taken for theirs.
+    parameters["mesh"] = float(mesh.nodes.sum())
+    arrays = cached_arrays(
+        "elastic", organ.digest, _VERSION, parameters, lambda: _prepare(organ, mesh, config, progress)
+    )
+    return _Prepared(
+        organ,
+        organ.surface_lookup,
+        mesh,
+        ElasticPrior(arrays["modes"], arrays["lift"], arrays["centre"], float(arrays["kept"])),
+        arrays["sample_tet"],
+        _interpolation(mesh, organ.query_points, arrays["query_tet"]),
+    )
 
 
 def _fill(organ: Organ, progress: Progress) -> Arrays:

@@ -33,7 +33,7 @@ SPRING_LENGTH_M = 0.002  # the springs are as stiff as the organ itself at this 
 _GROUND_SHARE_HELD = 1e-5
 _GROUND_SHARE_FREE = 0.03
 _SCALE_ITERATIONS = 3
-_SCALE_BELIEF = 6.0
+_SCALE_BELIEF = 3.0
 
 
 @dataclass(frozen=True, eq=False)
