@@ -1,7 +1,7 @@
 """Sparse symmetric linear systems with one pattern and many values, as Newton's method makes them.
 
-MKL's PARDISO (package `pypardiso`, extra `fast`) analyses the pattern once; a simulation takes about a quarter less time
-with it. Without it SciPy's SuperLU does the same work.
+MKL's PARDISO (package `pypardiso`, extra `fast`) analyses the pattern once; a simulation takes about a quarter
+less time with it. Without it SciPy's SuperLU does the same work.
 """
 
 from __future__ import annotations

@@ -15,7 +15,6 @@ from torch import Tensor
 from softtissue_estimator.errors import CheckpointError
 from softtissue_estimator.network import UNet
 
-
 _CHANGEABLE = ("learning_rate",)
 """Settings that may change when a run goes on."""
 
