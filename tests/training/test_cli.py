@@ -1,5 +1,7 @@
 import pytest
+import torch
 
+from softtissue_estimator.checkpoint import load_checkpoint
 from softtissue_training.archive import list_records
 from softtissue_training.cli import main
 
@@ -9,16 +11,21 @@ def test_help_names_every_command(capsys):
         main(["--help"])
     assert ended.value.code == 0
     shown = capsys.readouterr().out
-    assert all(command in shown for command in ("generate", "pack", "train"))
+    assert all(command in shown for command in ("generate", "pack", "train", "export"))
 
 
-def test_pack_and_train(data_folder, tmp_path, capsys):
+def test_pack_train_and_export(data_folder, tmp_path, capsys):
     packed = tmp_path / "sims.pack"
     assert main(["pack", str(data_folder), str(packed)]) == 0
     arguments = ["train", "--data", str(packed), "--out", str(tmp_path / "run"), "--config", "tiny"]
     assert main([*arguments, "--time-limit", "0.01", "--threads", "1"]) == 0
     assert (tmp_path / "run" / "best.safetensors").is_file()
     assert "validation error" in capsys.readouterr().out
+    exported = tmp_path / "paper.safetensors"
+    assert main(["export", str(tmp_path / "run"), str(exported)]) == 0
+    weights = load_checkpoint(exported).network.state_dict()
+    for name, kept in load_checkpoint(tmp_path / "run" / "best.safetensors").network.state_dict().items():
+        torch.testing.assert_close(weights[name], kept, rtol=1e-3, atol=1e-6)
     assert main([*arguments, "--time-limit", "0.01"]) == 2
     assert "add --resume to go on" in capsys.readouterr().err
 

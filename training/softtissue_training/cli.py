@@ -1,4 +1,4 @@
-"""The command `softtissue-train`: simulate, pack, train."""
+"""The command `softtissue-train`: simulate, pack, train, export."""
 
 from __future__ import annotations
 
@@ -68,6 +68,15 @@ def _parser() -> argparse.ArgumentParser:
     pack.add_argument("file", type=Path, metavar="FILE", help="file to write; `train --data FILE` reads it")
     pack.set_defaults(run=_pack)
     _add_train(commands)
+    export = commands.add_parser(
+        "export",
+        help="write a run's best weights for the node",
+        description="Write a run's best weights in half precision, half the size, for the node's parameter "
+        "`checkpoint`.",
+    )
+    export.add_argument("run_folder", type=Path, metavar="DIR", help="OUT of `train`")
+    export.add_argument("file", type=Path, metavar="FILE", help="file to write, ending in .safetensors")
+    export.set_defaults(run=_export)
     return parser
 
 
@@ -146,6 +155,25 @@ def _pack(options: argparse.Namespace) -> int:
     from softtissue_training.archive import pack
 
     print(f"{pack(options.folder, options.file)} simulations in {options.file}")
+    return 0
+
+
+def _export(options: argparse.Namespace) -> int:
+    from softtissue_estimator.checkpoint import load_checkpoint, save_checkpoint
+    from softtissue_training.train import WEIGHTS
+
+    best = load_checkpoint(options.run_folder / WEIGHTS)
+    save_checkpoint(options.file, best.network, best.spec, best.provenance, half=True)
+    print(f"{options.file}: validation error {best.provenance['validation_error_mm']:.2f} mm")
+    return 0
+
+
+def _export(options: argparse.Namespace) -> int:
+    from softtissue_training.export import export
+
+    provenance = export(options.checkpoint, options.file)
+    error = provenance.get("validation_error_mm", "unknown")
+    print(f"{options.file}: {options.file.stat().st_size / 1e6:.1f} MB, validation error {error} mm")
     return 0
 
 
