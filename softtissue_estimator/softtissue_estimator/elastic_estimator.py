@@ -27,6 +27,7 @@ from softtissue_estimator.volume_mesh import VolumeMesh, tetrahedralise
 MODES = 220
 ROTATION_PRIOR_RAD = 0.5
 _VERSION = 1  # of what is cached
+_SMALLEST_SIGMA_M = 1e-5
 _OUTLIER_FACTOR = 6.0
 _STUDENT_FREEDOM = 4.0
 
@@ -215,19 +216,19 @@ def _average(observation: Observation, lookup: SurfaceLookup, model_sigma_m: flo
             f"of {len(sample)} out of reach"
         )
     patch = lookup.patch[sample]
-    weight = observation.sigma**-2.0
+    weight = np.maximum(observation.sigma, _SMALLEST_SIGMA_M) ** -2.0
     count = len(lookup.patch_areas)
     values = np.concatenate([observation.reference, observation.displacement], axis=1)
     total, means = _weighted_means(patch, weight, values, count)
     # The scatter within patches tells gross outliers from noise.
-    deviation = np.linalg.norm(observation.displacement - means[patch, 3:], axis=1) / observation.sigma
+    deviation = np.linalg.norm(observation.displacement - means[patch, 3:], axis=1) * np.sqrt(weight)
     limit = _OUTLIER_FACTOR * max(1.0, float(np.median(deviation)))
     for _ in range(2):
         if deviation.max() <= limit:
             break
         robust = weight / (1.0 + (deviation / limit) ** 4)
         total, means = _weighted_means(patch, robust, values, count)
-        deviation = np.linalg.norm(observation.displacement - means[patch, 3:], axis=1) / observation.sigma
+        deviation = np.linalg.norm(observation.displacement - means[patch, 3:], axis=1) * np.sqrt(weight)
     seen = total > 0.0
     variance = 1.0 / total[seen] + model_sigma_m**2
     return _Patches(means[seen, :3], means[seen, 3:], 1.0 / variance)

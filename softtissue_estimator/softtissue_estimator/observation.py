@@ -68,8 +68,9 @@ def make_observation(
             f"correspondences: expected one reference for each of {len(now)} points, got {len(before)}"
         )
     spread = _as_sigma(config.default_sigma_m if sigma is None else sigma, len(now))
-    displacement = now - before
-    finite = np.isfinite(displacement).all(axis=1) & np.isfinite(spread) & (spread > 0.0)
+    with np.errstate(invalid="ignore"):  # infinity minus infinity is found out in the next line
+        displacement = now - before
+        finite = np.isfinite(displacement @ np.ones(3)) & np.isfinite(spread) & (spread > 0.0)
     near_now = np.einsum("nd,nd->n", displacement, displacement) <= config.max_displacement_m**2
     on_surface = np.zeros(len(now), dtype=np.bool_)
     candidate = finite & near_now

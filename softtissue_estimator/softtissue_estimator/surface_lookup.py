@@ -53,11 +53,15 @@ class SurfaceLookup:
 
     def nearest_sample(self, points: FloatArray) -> IntArray:
         """Sample nearest to each of (n, 3) finite points (m), (n,); -1 where the surface is out of reach."""
-        scaled = (points - self.origin) * (1.0 / CELL_M)
-        limit = np.array(self.nearest.shape, dtype=np.float64)
-        inside: BoolArray = np.logical_and.reduce((scaled >= 0.0) & (scaled < limit), axis=1)
-        cell = np.where(inside[:, None], scaled, 0.0).astype(np.int64)
-        flat = (cell[:, 0] * self.nearest.shape[1] + cell[:, 1]) * self.nearest.shape[2] + cell[:, 2]
+        # One row a coordinate: comparisons along rows of three are several times slower.
+        x, y, z = np.ascontiguousarray(((points - self.origin) * (1.0 / CELL_M)).T)
+        size = self.nearest.shape
+        inside: BoolArray = (
+            (x >= 0.0) & (x < size[0]) & (y >= 0.0) & (y < size[1]) & (z >= 0.0) & (z < size[2])
+        )
+        if not inside.all():
+            x, y, z = (np.where(inside, coordinate, 0.0) for coordinate in (x, y, z))
+        flat = (x.astype(np.int64) * size[1] + y.astype(np.int64)) * size[2] + z.astype(np.int64)
         return np.where(inside, self.nearest.ravel()[flat], -1).astype(np.int64)
 
     def distance(self, points: FloatArray) -> FloatArray:

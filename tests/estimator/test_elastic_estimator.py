@@ -208,6 +208,13 @@ def test_three_points_are_enough(held):
     assert np.linalg.norm(estimate.displacement, axis=1).max() < 0.05
 
 
+def test_points_in_one_place_move_the_organ_without_turning_it(free):
+    reference = np.tile(SURFACE.vertices[5], (10, 1))
+    shift = np.array([0.01, -0.02, 0.005])
+    estimate = free.estimate(Observation(reference, np.tile(shift, (10, 1)), np.full(10, 1e-9)))
+    np.testing.assert_allclose(estimate.displacement, np.tile(shift, (len(SURFACE.vertices), 1)), atol=1e-5)
+
+
 def test_other_points_agree_with_the_query_points(held, held_organ):
     estimate = held.estimate(seen_of(SURFACE, bent))
     displacement, sigma = estimate.displacement_at(held_organ.query_points)

@@ -23,7 +23,7 @@ def test_displacement_is_now_minus_before():
 def test_each_kind_of_unusable_point_is_dropped_and_counted():
     points, reference, sigma = REFERENCE + SHIFT, REFERENCE.copy(), np.full(100, 0.002)
     points[0, 1] = np.nan
-    points[1, 2] = np.inf
+    points[1, 2] = reference[1, 2] = np.inf
     reference[2, 0] = np.nan
     sigma[3] = np.nan
     sigma[4] = 0.0
