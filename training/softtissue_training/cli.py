@@ -159,21 +159,11 @@ def _pack(options: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from softtissue_estimator.checkpoint import load_checkpoint, save_checkpoint
+    from softtissue_training.export import export
     from softtissue_training.train import WEIGHTS
 
-    best = load_checkpoint(options.run_folder / WEIGHTS)
-    save_checkpoint(options.file, best.network, best.spec, best.provenance, half=True)
-    print(f"{options.file}: validation error {best.provenance['validation_error_mm']:.2f} mm")
-    return 0
-
-
-def _export(options: argparse.Namespace) -> int:
-    from softtissue_training.export import export
-
-    provenance = export(options.checkpoint, options.file)
-    error = provenance.get("validation_error_mm", "unknown")
-    print(f"{options.file}: {options.file.stat().st_size / 1e6:.1f} MB, validation error {error} mm")
+    provenance = export(options.run_folder / WEIGHTS, options.file)
+    print(f"{options.file}: validation error {provenance['validation_error_mm']:.2f} mm")
     return 0
 
 
