@@ -18,6 +18,7 @@ from std_msgs.msg import Header
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros import conversions, serialised
+from softtissue_estimator.ros.correspondences import read_correspondences
 
 POINTS = np.array([[0.125, -0.25, 0.5], [1.0, 2.0, -3.0], [-0.0625, 7.0, 0.75], [4.0, 5.0, 6.0]])
 
@@ -141,7 +142,7 @@ def test_missing_sigma_is_nan():
 
 def test_correspondences_default_to_the_first_rows():
     message = Correspondences(reference=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
-    pairs = conversions.read_correspondences(message, rows=9)
+    pairs = read_correspondences(message, rows=9)
     np.testing.assert_array_equal(pairs.index, [0, 1])
     np.testing.assert_array_equal(pairs.reference, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     assert pairs.sigma is None
@@ -163,7 +164,7 @@ def test_correspondences_default_to_the_first_rows():
 )
 def test_unusable_correspondences_are_refused_in_a_sentence(given, words):
     with pytest.raises(InvalidInputError, match=words):
-        conversions.read_correspondences(Correspondences(**given), rows=3)
+        read_correspondences(Correspondences(**given), rows=3)
 
 
 def transform(x, y, z, w, shift=(0.0, 0.0, 0.0)):

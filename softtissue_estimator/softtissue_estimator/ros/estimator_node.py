@@ -4,7 +4,6 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -20,16 +19,13 @@ from visualization_msgs.msg import MarkerArray
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
-from softtissue_estimator.estimator import create_estimator
-from softtissue_estimator.organ import load_organ
-from softtissue_estimator.resources import bundled_organ
 from softtissue_estimator.ros import parameters
 from softtissue_estimator.ros.counters import FrameCounters
-from softtissue_estimator.ros.frames import Frame, unmoved
+from softtissue_estimator.ros.engine import Engine, load_engine
+from softtissue_estimator.ros.frames import Frame
 from softtissue_estimator.ros.intake import Intake, Received
-from softtissue_estimator.ros.markers import MarkerBuffer
 from softtissue_estimator.ros.registration import Registration, tf_source
-from softtissue_estimator.ros.responder import Engine, Outputs, Responder
+from softtissue_estimator.ros.responder import Outputs, Responder
 from softtissue_estimator.ros.services import answer_warp, loaded
 from softtissue_estimator.ros.status import INVALID, diagnostics_message
 from softtissue_estimator.ros.throttle import Throttle
@@ -166,7 +162,7 @@ class EstimatorNode(LifecycleNode):
 
     def _configure(self) -> None:
         self._config = parameters.read_config(self)
-        self._responder.use(self._make_engine(self._config.organ))
+        self._responder.use(self._load(self._config.organ))
 
     def _activate(self) -> None:
         self._responder.reset()
@@ -194,23 +190,8 @@ class EstimatorNode(LifecycleNode):
         """Stop working; return whether the thread of the estimates ended in time."""
         return self._worker is None or self._worker.stop(timeout_s)
 
-    def _make_engine(self, folder: str) -> Engine:
-        """Load an organ and prepare an estimator for it: seconds the first time."""
-        say = self.get_logger().info
-        path = Path(folder) if folder else bundled_organ()
-        say(f"loading organ {path}")
-        began = time.monotonic()
-        organ = load_organ(path)
-        estimator = create_estimator(self._config)
-        estimator.load_organ(organ, say)
-        # Libraries set themselves up in the first estimate, which would make the first cloud late.
-        estimator.estimate(unmoved(organ, self._config))
-        markers = MarkerBuffer(organ, self._config.no_data_timeout_s)
-        say(
-            f"organ {organ.name!r} with {len(organ.structures)} structures is ready after"
-            f" {time.monotonic() - began:.1f} s: estimator {estimator.name!r} on {estimator.device}"
-        )
-        return Engine(organ, estimator, markers)
+    def _load(self, folder: str) -> Engine:
+        return load_engine(folder, self._config, self.get_logger().info)
 
     # Clouds
 
@@ -282,7 +263,7 @@ class EstimatorNode(LifecycleNode):
     def _load_organ(self, folder: str, response: LoadOrgan.Response) -> None:
         try:
             with self._loading:
-                engine = self._make_engine(folder) if self._responder.configured else None
+                engine = self._load(folder) if self._responder.configured else None
                 # Asked again: the node may have been cleaned up meanwhile.
                 if engine is None or not self._responder.exchange(engine):
                     loaded(

@@ -13,7 +13,8 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimator import Estimate, Estimator
 from softtissue_estimator.observation import Observation, make_observation
 from softtissue_estimator.organ import Organ
-from softtissue_estimator.ros.conversions import Cloud, read_cloud, read_correspondences
+from softtissue_estimator.ros.conversions import Cloud, read_cloud
+from softtissue_estimator.ros.correspondences import read_correspondences
 from softtissue_estimator.ros.registration import Registration, transform_points
 from softtissue_estimator.visibility import visible_fraction
 

@@ -12,6 +12,8 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.runtime import Spinner, StopRequest
 
 ACKNOWLEDGE_S = 2.0
+MATCH_S = 0.5
+LINGER_S = 1.0
 QUEUE = 10
 
 
@@ -96,6 +98,8 @@ class Replay:
                 for publisher in self._publishers.values()
             )
             if count >= self._options.subscribers and known:
+                # A best-effort subscriber may learn of this publisher a little later than this publisher of it.
+                self._stop.event.wait(MATCH_S)
                 return None
             names = ", ".join(publisher.topic_name for publisher in awaited)
             missing = f"{names}: expected {self._options.subscribers} subscriber(s), got {count}"
@@ -131,11 +135,13 @@ class Replay:
         self.sent[publisher.topic_name] += 1
 
     def drain(self) -> None:
-        """Wait until reliable subscribers have everything."""
+        """Wait until subscribers have everything."""
         from rclpy.duration import Duration
 
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_S))
+        # A best-effort subscriber acknowledges nothing, and loses what it has not taken when its publisher goes.
+        self._stop.event.wait(LINGER_S)
 
 
 def run(options: argparse.Namespace, stop: StopRequest) -> int:

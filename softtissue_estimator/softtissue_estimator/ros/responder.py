@@ -10,28 +10,13 @@ from sensor_msgs.msg import PointCloud2
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import SoftTissueError
-from softtissue_estimator.estimator import Estimator
-from softtissue_estimator.organ import Organ
 from softtissue_estimator.ros.conversions import answer_cloud, stamp_ns
 from softtissue_estimator.ros.counters import FrameCounters
+from softtissue_estimator.ros.engine import Engine
 from softtissue_estimator.ros.frames import Answer, Frame, answer_frame, doubts
-from softtissue_estimator.ros.markers import MarkerBuffer, delete_all
+from softtissue_estimator.ros.markers import delete_all
 from softtissue_estimator.ros.registration import Registration
 from softtissue_estimator.ros.status import DEGRADED, INVALID, OK, Report, Setup, status_message
-
-
-@dataclass(frozen=True)
-class Engine:
-    """An organ and an estimator that is ready for it."""
-
-    organ: Organ
-    estimator: Estimator
-    markers: MarkerBuffer
-
-    @property
-    def setup(self) -> Setup:
-        """Names for the status."""
-        return Setup(self.estimator.name, self.estimator.device, self.organ.name, self.organ.frame)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,60 @@
+"""An organ and an estimator that is ready for it."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.estimator import Estimator, create_estimator
+from softtissue_estimator.organ import Organ, load_organ
+from softtissue_estimator.resources import bundled_organ
+from softtissue_estimator.ros.frames import unmoved
+from softtissue_estimator.ros.markers import MarkerBuffer
+from softtissue_estimator.ros.status import Setup
+
+
+@dataclass(frozen=True)
+class Engine:
+    """An organ and an estimator that is ready for it."""
+
+    organ: Organ
+    estimator: Estimator
+    markers: MarkerBuffer
+
+    @property
+    def setup(self) -> Setup:
+        """Names for the status."""
+        return Setup(self.estimator.name, self.estimator.device, self.organ.name, self.organ.frame)
+
+
+def load_engine(folder: str, config: EstimatorConfig, say: Callable[[str], None]) -> Engine:
+    """Load an organ and prepare an estimator for it: seconds the first time.
+
+    Parameters
+    ----------
+    folder : str
+        Organ folder; empty for the bundled one.
+    config : EstimatorConfig
+    say : callable
+        Told in a sentence what is going on.
+
+    Raises
+    ------
+    SoftTissueError
+        If organ or estimator cannot be used.
+    """
+    path = Path(folder) if folder else bundled_organ()
+    say(f"loading organ {path}")
+    began = time.monotonic()
+    organ = load_organ(path)
+    estimator = create_estimator(config)
+    estimator.load_organ(organ, say)
+    # Libraries set themselves up in the first estimate, which would make the first cloud late.
+    estimator.estimate(unmoved(organ, config))
+    markers = MarkerBuffer(organ, config.no_data_timeout_s)
+    say(
+        f"organ {organ.name!r} with {len(organ.structures)} structures is ready after"
+        f" {time.monotonic() - began:.1f} s: estimator {estimator.name!r} on {estimator.device}"
+    )
+    return Engine(organ, estimator, markers)
