@@ -120,14 +120,14 @@ def _advance(body: Body, before: Array, now: Array, start: Array, halvings: int 
 
 
 def attached_nodes(mesh: QuadraticMesh, anatomy: Anatomy) -> NDArray[np.bool_]:
-    """Nodes ``(n,)`` of the boundary triangles whose three corners are nearest to attached surface vertices."""
-    used = np.unique(mesh.faces)
-    held = np.zeros(len(mesh.nodes), dtype=bool)
-    held[used] = anatomy.attached[cKDTree(anatomy.surface.vertices).query(mesh.nodes[used])[1]]
-    whole = held[mesh.faces].all(axis=1)
+    """Nodes ``(n,)`` of the boundary, corners and midsides, whose nearest surface vertex is attached.
+
+    Asking each node for itself keeps the attached share that of the organ's surface, whatever the element size.
+    """
+    boundary = np.unique(np.concatenate([mesh.faces, mesh.face_midsides]))
     attached = np.zeros(len(mesh.nodes), dtype=bool)
-    attached[mesh.faces[whole]] = True
-    attached[mesh.face_midsides[whole]] = True
+    nearest = cKDTree(anatomy.surface.vertices).query(mesh.nodes[boundary])[1]
+    attached[boundary] = anatomy.attached[nearest]
     return attached
 
 

@@ -25,7 +25,7 @@ class Push:
     radius: float = 0.026
     direction: tuple[float, float, float] = (0.97, 0.10, 0.22)
     sway: tuple[float, float, float] = (0.0, 0.8, -0.6)
-    peak_n: float = 2.6
+    peak_n: float = 2.8
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class PhantomSpec:
     seed: int = 1
     surface_spacing: float = 0.0052
     vessel_spacing: float = 0.0022
-    element_size: float = 0.014
+    element_size: float = 0.012
     portal_ends: int = 26
     hepatic_ends: int = 22
     youngs_modulus_pa: float = 3000.0
