@@ -1,11 +1,13 @@
 """Real processes and real DDS for the tests: start the installed node, talk to it, wait on conditions."""
 
 import contextlib
+import fcntl
 import itertools
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -26,7 +28,10 @@ from softtissue_msgs.msg import Correspondences, EstimatorStatus
 from softtissue_estimator.organ import load_organ
 from softtissue_estimator.ros.transport import use_profile
 
-_domains = itertools.count(7 * os.getpid())
+# `make demo` and `make test` themselves run in 1 to 100.
+DOMAINS = range(101, 201)
+_next = itertools.count(7 * os.getpid())
+_held: list[int] = []  # locks of the domains that this session uses; the system lets go of them at its end
 
 ORGAN_YAML = """
 name: Test organ
@@ -42,8 +47,19 @@ attached:
 
 
 def new_domain() -> int:
-    """A ROS domain for one test, 1 to 100."""
-    return next(_domains) % 100 + 1
+    """A ROS domain that no other test uses, not even of another session on this machine."""
+    for _ in DOMAINS:
+        domain = DOMAINS[next(_next) % len(DOMAINS)]
+        path = Path(tempfile.gettempdir()) / f"softtissue-test-domain-{domain}"
+        lock = os.open(path, os.O_CREAT | os.O_RDWR, 0o666)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(lock)
+            continue
+        _held.append(lock)
+        return domain
+    raise RuntimeError(f"expected a free ROS domain in {DOMAINS}, got none")
 
 
 def executable(name: str) -> Path:

@@ -77,7 +77,8 @@ def test_recorded_bag_of_a_real_camera_is_replayed_and_read(folder, tmp_path, ba
             assert player.wait(60.0) == 0, player.text
 
         def refused():
-            return [s for s in about_clouds() if s.frames_received == s.frames_refused == messages]
+            counted = [s for s in about_clouds() if s.frames_refused + s.frames_dropped == messages]
+            return [s for s in counted if s.frames_received == messages]
 
         def about_clouds():
             return [s for s in client.statuses if nanoseconds(s.header.stamp)]
