@@ -3,6 +3,7 @@
 import argparse
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from softtissue_estimator.errors import SoftTissueError
@@ -18,8 +19,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--out", type=Path, required=True, help="folder that gets organs/phantom_liver and bags/phantom"
     )
+    parser.add_argument(
+        "--element-size",
+        type=float,
+        default=1e3 * PhantomSpec.element_size,
+        metavar="MM",
+        help="edge length of the finite elements, mm (default %(default)g)",
+    )
     options = parser.parse_args(arguments)
-    spec = PhantomSpec(seed=options.seed)
+    spec = replace(PhantomSpec(), seed=options.seed, element_size=1e-3 * options.element_size)
     start = time.monotonic()
 
     def progress(text: str) -> None:
