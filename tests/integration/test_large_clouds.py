@@ -5,6 +5,8 @@ SOFTTISSUE_SOAK_S sets for how long (s); 60 is the length that the product promi
 
 import itertools
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -108,3 +110,40 @@ def test_recorded_cloud_is_read_with_its_padding():
     expected = np.frombuffer(bytes(message.data), dtype="<f4").reshape(-1, 4)[:, :3]
     np.testing.assert_array_equal(cloud.points, expected.astype(np.float64))
     assert (cloud.points[:, 2] > 0.1).all() and (cloud.points[:, 2] < 10.0).all()
+
+
+DEFAULT_TRANSPORT = """
+import sys, time, rclpy
+from sensor_msgs.msg import PointCloud2, PointField
+rclpy.init()
+node = rclpy.create_node("camera")
+publisher = node.create_publisher(PointCloud2, "surface_points", 1)
+while publisher.get_subscription_count() == 0:
+    time.sleep(0.05)
+fields = [PointField(name=n, offset=4 * i, datatype=7, count=1) for i, n in enumerate("xyz")]
+cloud = PointCloud2(height=1, width=100_000, point_step=16, row_step=1_600_000, fields=fields, data=bytes(1_600_000))
+for number in range(60):
+    cloud.header.stamp.sec = number + 1
+    publisher.publish(cloud)
+    time.sleep(0.1)
+"""
+
+
+def test_clouds_lost_for_want_of_the_profile_are_noticed(folder, tmp_path):
+    domain = new_domain()
+    environment = os.environ | {
+        "FASTDDS_DEFAULT_PROFILES_FILE": "",
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
+    with NodeProcess(domain, tmp_path, {"organ": folder}) as node, Client(domain) as client:
+        client.wait_until_connected()
+        camera = subprocess.Popen([sys.executable, "-c", DEFAULT_TRANSPORT], env=environment)
+        client.wait(lambda: camera.poll() is not None, "end of the camera", 60.0)
+        assert camera.returncode == 0
+        client.spin(2.0)
+        arrived = {nanoseconds(s.header.stamp) for s in client.statuses} - {0}
+        # A quick machine may pass (nearly) all of them by UDP; then there is nothing to notice.
+        told = "expected every cloud of its publisher" in node.text or "announce them" in node.text
+        assert told or len(arrived) >= 55, f"{len(arrived)} of 60 arrived:\n{node.text}"
+        assert not told or "config/fastdds_profile.xml" in node.text

@@ -2,8 +2,11 @@
 
 import ast
 import dataclasses
+import importlib.util
+import sys
 import threading
 import time
+import types
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +24,7 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros import parameters, scoring, transport
 from softtissue_estimator.ros.counters import FrameCounters, LossCounter
 from softtissue_estimator.ros.pairing import StampMatcher
-from softtissue_estimator.ros.registration import Registration, transform_points
+from softtissue_estimator.ros.registration import Registration, tf_source, transform_points
 from softtissue_estimator.ros.throttle import Throttle
 from softtissue_estimator.ros.watchdog import silence
 from softtissue_estimator.ros.worker import LatestWorker
@@ -293,3 +296,90 @@ def test_launch_file_and_rviz_configuration_are_well_formed():
         "/softtissue_estimator/deformed_points",
         "/surface_points",
     }
+
+
+class Recorder:
+    """Stands in for a class of a package that is not on PyPI: remembers how it was made."""
+
+    def __init__(self, *args, **keywords):
+        self.args, self.keywords = args, keywords
+
+
+def stand_in(monkeypatch, name, **members):
+    module = types.ModuleType(name)
+    vars(module).update(members)
+    monkeypatch.setitem(sys.modules, name, module)
+    return module
+
+
+@pytest.fixture
+def launch_file(monkeypatch):
+    """The launch file as a module, with stand-ins for launch and launch_ros."""
+
+    class LaunchConfiguration(Recorder):
+        def perform(self, context):
+            return context[self.args[0]]
+
+    stand_in(monkeypatch, "launch", LaunchContext=dict, LaunchDescription=list)
+    actions = {
+        n: type(n, (Recorder,), {})
+        for n in ("DeclareLaunchArgument", "OpaqueFunction", "SetEnvironmentVariable")
+    }
+    stand_in(monkeypatch, "launch.actions", **actions)
+    stand_in(monkeypatch, "launch.conditions", IfCondition=Recorder)
+    stand_in(monkeypatch, "launch.substitutions", LaunchConfiguration=LaunchConfiguration)
+    stand_in(monkeypatch, "launch_ros")
+    stand_in(monkeypatch, "launch_ros.actions", LifecycleNode=Recorder, Node=Recorder)
+    source = PACKAGE / "launch" / "softtissue.launch.py"
+    spec = importlib.util.spec_from_file_location("softtissue_launch", source)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_launch_file_passes_on_what_is_given(launch_file):
+    described = launch_file.generate_launch_description()
+    declared = {
+        a.args[0]: a.keywords["default_value"] for a in described if type(a).__name__.startswith("Declare")
+    }
+    given = declared | {"organ": "/data/liver", "autostart": "False", "surface_points": "/tracker/points"}
+    (node,) = launch_file.estimator(given)
+    assert (node.keywords["package"], node.keywords["executable"]) == ("softtissue_estimator", "node")
+    file, chosen = node.keywords["parameters"]
+    assert Path(file).name == "softtissue_estimator.yaml" and Path(file).is_file()
+    assert chosen == {"organ": "/data/liver", "autostart": False}
+    assert dict(node.keywords["remappings"]) == {
+        "surface_points": "/tracker/points",
+        "correspondences": "correspondences",
+        "registration": "registration",
+    }
+    rviz = Path(described[-1].keywords["arguments"][1])
+    assert rviz.is_file()
+
+
+def test_tf_is_asked_at_the_stamp_then_for_the_newest(monkeypatch):
+    asked = []
+
+    class ExtrapolationException(Exception):
+        pass
+
+    class Buffer:
+        def lookup_transform(self, target, source, time):
+            asked.append((target, source, time.nanoseconds))
+            if time.nanoseconds:
+                raise ExtrapolationException
+            return "newest"
+
+    stand_in(
+        monkeypatch, "tf2_ros", Buffer=Buffer, TransformListener=Recorder, LookupException=KeyError,
+        ConnectivityException=KeyError, ExtrapolationException=ExtrapolationException,
+    )  # fmt: skip
+    source = tf_source(None)
+    assert source.lookup("camera", "organ", 42) == "newest"
+    # lookup_transform(target, source) gives the pose of the source in the target: what `registration` states.
+    assert asked == [("camera", "organ", 42), ("camera", "organ", 0)]
+
+
+def test_without_tf_there_is_no_source(monkeypatch):
+    monkeypatch.setitem(sys.modules, "tf2_ros", None)
+    assert tf_source(None) is None

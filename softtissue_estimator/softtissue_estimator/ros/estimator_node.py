@@ -62,7 +62,7 @@ class EstimatorNode(LifecycleNode):
     def __init__(self, on_crash: Callable[[BaseException], None]) -> None:
         super().__init__(NAME)
         self._on_crash = on_crash
-        self.failure: str | None = None
+        self._failure: Exception | None = None
         parameters.declare_parameters(self)
         self._config: EstimatorConfig = parameters.read_config(self)
         self.add_on_set_parameters_callback(self._on_parameters)
@@ -100,11 +100,11 @@ class EstimatorNode(LifecycleNode):
         """Name of the present state of the life cycle."""
         return str(self._state_machine.current_state[1])
 
-    def start(self) -> str | None:
-        """Configure and activate; return what prevents it in a sentence."""
+    def start(self) -> Exception | None:
+        """Configure and activate; return what prevents it, which is in the log already."""
         if self.trigger_configure() == SUCCESS and self.trigger_activate() == SUCCESS:
             return None
-        return self.failure or "the node could not be configured"
+        return self._failure or RuntimeError("the transition failed")
 
     @property
     def autostart(self) -> bool:
@@ -143,7 +143,7 @@ class EstimatorNode(LifecycleNode):
         ours_last: bool = False,
     ) -> TransitionCallbackReturn:
         """Run a transition; rclpy hides what its callbacks raise, so it is reported here."""
-        self.failure = None
+        self._failure = None
         try:
             if ours_last:
                 result = entities(state)
@@ -152,11 +152,11 @@ class EstimatorNode(LifecycleNode):
             ours()
             return entities(state)
         except SoftTissueError as error:
-            self.failure = str(error)
-            self.get_logger().error(self.failure)
+            self._failure = error
+            self.get_logger().error(str(error))
             return FAILURE
         except Exception as error:
-            self.failure = f"unexpected {type(error).__name__}: {error}"
+            self._failure = error
             self.get_logger().error(traceback.format_exc())
             return ERROR
 

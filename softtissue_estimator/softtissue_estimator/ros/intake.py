@@ -17,6 +17,7 @@ from softtissue_estimator.ros.conversions import carries_reference, field_names,
 from softtissue_estimator.ros.counters import FrameCounters, LossCounter
 from softtissue_estimator.ros.pairing import Outcome, StampMatcher, Waiting
 from softtissue_estimator.ros.registration import Registration
+from softtissue_estimator.ros.watchdog import TRANSPORT_HINT
 
 # Depth 1: an old cloud is worth nothing. Correspondences may arrive a few messages before their cloud.
 CLOUD_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -138,7 +139,13 @@ class Intake:
         publisher, sequence = info.get("publisher_gid"), info.get("publication_sequence_number")
         if not publisher or sequence is None:
             return 0
-        return self._losses.lost_before(bytes(publisher["data"]), int(sequence))
+        lost = self._losses.lost_before(bytes(publisher["data"]), int(sequence))
+        if lost:
+            self._on_warning(
+                f"{self.topic}: expected every cloud of its publisher, got a gap of {lost}, counted as dropped;"
+                f" if this goes on and they are large, {TRANSPORT_HINT}"
+            )
+        return lost
 
     def _take_correspondences(self, message: Correspondences) -> None:
         self._settle(self._matcher.add_pairs(stamp_ns(message.header.stamp), message))

@@ -11,7 +11,7 @@ CRASH = 1
 
 
 def main() -> None:
-    """Run until SIGINT or SIGTERM (exit code 0), or until the start fails (exit code 2)."""
+    """Run until SIGINT or SIGTERM (exit code 0); 2 after wrong files or parameters, 1 after a crash."""
     stop = StopRequest()
     limit_threads()
     import traceback
@@ -40,8 +40,9 @@ def main() -> None:
     node.get_logger().info(profile)
 
     def start() -> None:
-        if node.autostart and node.start() is not None:
-            stop.stop(BAD_INPUT)
+        failure = node.start() if node.autostart else None
+        if failure is not None:
+            stop.stop(BAD_INPUT if isinstance(failure, SoftTissueError) else CRASH)
 
     spinner = Spinner(node, crash, start)
     stop.event.wait()

@@ -1,6 +1,6 @@
 """Notice that no clouds arrive. Knows no ROS."""
 
-NEVER_HINT = (
+TRANSPORT_HINT = (
     "set FASTDDS_DEFAULT_PROFILES_FILE to this package's config/fastdds_profile.xml where they are published"
     " (docs/transport.md)"
 )
@@ -36,5 +36,5 @@ def silence(
     if publishers == 0:
         return f"{expected}; its publisher is gone"
     if last_cloud_s is None:
-        return f"{expected} although {publishers} publisher(s) announce them; if they are large, {NEVER_HINT}"
+        return f"{expected} although {publishers} publisher(s) announce them; if they are large, {TRANSPORT_HINT}"
     return f"{expected} from {publishers} publisher(s)"
