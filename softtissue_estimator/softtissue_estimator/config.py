@@ -77,7 +77,7 @@ class EstimatorConfig:
         0.35, "Poisson's ratio of the organ, used by 'elastic'.", limits=(0.0, 0.49)
     )
     prior_sigma_m: float = _setting(
-        0.008,
+        0.004,
         "How far visible points are expected to move beyond a rigid motion, used by 'elastic'.",
         unit="m",
         limits=(0.0005, 0.1),

@@ -26,7 +26,7 @@ from softtissue_estimator.volume_mesh import VolumeMesh, tetrahedralise
 
 MODES = 220
 ROTATION_PRIOR_RAD = 0.5
-_VERSION = 1  # of what is cached
+_VERSION = 2  # of what is cached
 _SMALLEST_SIGMA_M = 1e-5
 _OUTLIER_FACTOR = 6.0
 _STUDENT_FREEDOM = 4.0
@@ -166,7 +166,7 @@ def _load(organ: Organ, config: EstimatorConfig, progress: Progress) -> _Prepare
         organ,
         organ.surface_lookup,
         mesh,
-        ElasticPrior(arrays["modes"], arrays["lift"], arrays["centre"], float(arrays["kept"])),
+        ElasticPrior(arrays["modes"], arrays["lift"], mesh.nodes, float(arrays["kept"])),
         arrays["sample_tet"],
         _interpolation(mesh, organ.query_points, arrays["query_tet"]),
     )
@@ -189,7 +189,6 @@ def _prepare(organ: Organ, mesh: VolumeMesh, config: EstimatorConfig, progress: 
     return {
         "modes": prior.modes,
         "lift": prior.lift,
-        "centre": prior.centre,
         "kept": np.array(prior.kept),
         "sample_tet": mesh.locate(organ.surface_lookup.samples),
         "query_tet": mesh.locate(organ.query_points),

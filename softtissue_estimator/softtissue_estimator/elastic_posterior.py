@@ -27,7 +27,7 @@ from scipy.sparse.linalg import splu
 
 from softtissue_estimator.elasticity import nodal_areas, stiffness
 from softtissue_estimator.errors import OrganError
-from softtissue_estimator.mesh import FloatArray
+from softtissue_estimator.mesh import FloatArray, IntArray
 from softtissue_estimator.volume_mesh import VolumeMesh
 
 CORRELATION_LENGTH_M = 0.015
@@ -49,15 +49,30 @@ class ElasticPrior:
     lift : (n, 3, 12)
         Nodal displacement when the springs' rest positions are displaced by each of the twelve affine fields: the
         component a of the displacement equal to 1, x, y or z (about `centre`); column 3 k + a.
-    centre : (3,) m
+    nodes : (n, 3) m
     kept : float
         Share of the prior's variance that the modes hold.
     """
 
     modes: FloatArray
     lift: FloatArray
-    centre: FloatArray
+    nodes: FloatArray
     kept: float
+
+    @cached_property
+    def centre(self) -> FloatArray:
+        """Mean of the nodes, (3,) m."""
+        return np.asarray(self.nodes.mean(axis=0), dtype=np.float64)
+
+    @cached_property
+    def motions(self) -> FloatArray:
+        """Nodal displacement of three translations and three infinitesimal rotations, (n, 3, 6)."""
+        axes = np.eye(3)
+        turns = np.cross(axes, (self.nodes - self.centre)[:, None])
+        moves = np.broadcast_to(axes, (len(self.nodes), 3, 3))
+        # About as large as the moves, so that sums of products of both are well conditioned.
+        size = float(np.abs(self.nodes - self.centre).max())
+        return np.concatenate([moves, np.swapaxes(turns, 1, 2) / size], axis=2)
 
     @cached_property
     def single(self) -> NDArray[np.float32]:
@@ -136,7 +151,7 @@ def build_prior(
     return ElasticPrior(
         modes=np.ascontiguousarray(basis.reshape(count, 3, -1)),
         lift=lift.reshape(count, 3, 12),
-        centre=centre,
+        nodes=mesh.nodes,
         kept=float(variance[leading].sum() / variance.sum()),
     )
 
@@ -169,8 +184,8 @@ def condition(
 ) -> Posterior:
     """Condition the prior on observed displacements.
 
-    The scale s of the forces is not known beforehand. It starts where the prior standard deviation of the observed
-    points is `prior_sigma_m` and is then re-estimated from the data (MacKay's evidence iteration,
+    The scale s of the forces is not known beforehand. It starts where the observed points are expected to move
+    `prior_sigma_m` beyond a rigid motion, and is then re-estimated from the data (MacKay's evidence iteration,
     s^2 = |z|^2 / gamma, gamma the number of well-determined amplitudes); the start counts as `_SCALE_BELIEF` further
     amplitudes.
 
@@ -185,7 +200,7 @@ def condition(
     prior_sigma_m : float
     """
     weighted = csr_array(interpolation.multiply(precision[:, None]))
-    seen = np.unique(interpolation.indices)
+    seen = np.unique(interpolation.indices).astype(np.int64)
     count, _, rank = prior.modes.shape
     part = prior.modes[seen]
     normal = csr_array(interpolation.T @ weighted)[seen][:, seen]
@@ -193,8 +208,7 @@ def condition(
     flat = part.reshape(-1, rank)
     information = flat.T @ spread
     right = flat.T @ np.asarray((weighted.T @ observed)[seen]).ravel()
-    # Mean prior variance of the observed points at s = 1: tr(H B B^T H^T) / (3 c), each point with its weight.
-    start = prior_sigma_m**2 * 3.0 * float(precision.sum()) / float(np.trace(information))
+    start = prior_sigma_m**2 / _variance_beyond_rigid(prior, seen, normal, spread, information)
     scale = start
     for _ in range(_SCALE_ITERATIONS):
         factor, amplitudes = _solve(information, right, scale)
@@ -204,6 +218,25 @@ def condition(
     factor, amplitudes = _solve(information, right, scale)
     mean = np.asarray(prior.modes.reshape(-1, rank) @ amplitudes).reshape(count, 3)
     return Posterior(mean, factor)
+
+
+def _variance_beyond_rigid(
+    prior: ElasticPrior, seen: IntArray, normal: csr_array, spread: FloatArray, information: FloatArray
+) -> float:
+    """Mean prior variance at s = 1 of the observed points, each with its weight, their best rigid motion taken out.
+
+    tr(B^T M B) / 3 tr(M) without the part in the span of R, M = H^T S^-1 H and R the six infinitesimal rigid
+    motions of the nodes, which H interpolates exactly.
+    """
+    motions = prior.motions[seen].reshape(-1, 6)
+    weighted = np.asarray(normal @ prior.motions[seen].reshape(len(seen), 18)).reshape(-1, 6)
+    shared = motions.T @ spread
+    gram = motions.T @ weighted
+    gram[np.diag_indices(6)] += 1e-9 * np.trace(gram)
+    rigid = float(np.einsum("ir,ir->", shared, np.linalg.solve(gram, shared)))
+    total = float(np.trace(information))
+    # Three points and fewer can leave nothing beyond a rigid motion.
+    return max(total - rigid, 1e-6 * total) / (3.0 * float(normal.sum()))
 
 
 def _solve(information: FloatArray, right: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
