@@ -10,10 +10,11 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 import softtissue_training.phantom.__main__ as command
-from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.errors import InvalidInputError, MeshError
 from softtissue_estimator.mesh import vertex_areas
 from softtissue_estimator.organ import load_organ
 from softtissue_estimator.signed_distance import signed_distance
+from softtissue_training.phantom import motion
 from softtissue_training.phantom.bag import START_NS, BagWriter, folder_digest
 from softtissue_training.phantom.build import build_phantom, describe
 from softtissue_training.phantom.motion import push_force
@@ -229,3 +230,26 @@ def test_folder_that_is_no_bag_is_not_replaced(tmp_path):
 def test_settings_without_sense_are_refused(setting):
     with pytest.raises(InvalidInputError, match="at least"):
         PhantomSpec(**setting)
+
+
+def test_body_is_filled_with_smaller_elements_where_some_would_be_flat(phantom, monkeypatch):
+    tried = []
+
+    def fill(surface, size):
+        tried.append(size)
+        if len(tried) < 2:
+            raise MeshError("too flat")
+        return "mesh"
+
+    monkeypatch.setattr(motion, "tetrahedralise", fill)
+    assert motion._fill(phantom.anatomy, 0.03) == "mesh"
+    np.testing.assert_allclose(tried, [0.036, 0.96 * 0.036])
+
+
+def test_body_that_cannot_be_filled_is_an_error(phantom, monkeypatch):
+    def fill(surface, size):
+        raise MeshError("too flat")
+
+    monkeypatch.setattr(motion, "tetrahedralise", fill)
+    with pytest.raises(MeshError, match="too flat"):
+        motion._fill(phantom.anatomy, 0.03)

@@ -96,6 +96,13 @@ def test_tumour_keeps_clear_of_both_vessels():
     assert tumour(candidates[:1])[0] < -0.012
 
 
+def test_tumour_shrinks_to_the_room_there_is():
+    vessels = (np.array([[-0.014, 0.0, 0.0]]), np.array([[0.014, 0.0, 0.0]]))
+    tumour = place_tumour(np.zeros((1, 3)), vessels, 0.014, 0.002, np.random.default_rng(1))
+    assert 0.010 < tumour.radius < 0.012
+    assert tumour(vessels[0])[0] > 0.0 and tumour(vessels[1])[0] > 0.0
+
+
 def test_tumour_without_room_is_an_error():
     vessels = (np.zeros((1, 3)), np.zeros((1, 3)))
     with pytest.raises(InvalidInputError, match="no room for a tumour"):

@@ -10,6 +10,8 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.phantom.implicit import Points, Values
 
 Array = NDArray[np.float64]
+_BUMP = 0.12  # of the radius
+_SMALLEST = 0.6  # of the wanted radius
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,8 @@ def place_tumour(
 ) -> Tumour:
     """Put a tumour of `radius` (m) where both vessels pass at about `gap` (m) from its surface.
 
+    Where the vessels leave no room for it, it is made smaller, down to `_SMALLEST` of the radius.
+
     Parameters
     ----------
     candidates : (k, 3) m, where its centre may lie
@@ -53,19 +57,21 @@ def place_tumour(
     Raises
     ------
     InvalidInputError
-        If at every candidate a vessel would pass through the tumour.
+        If at every candidate a vessel would pass through the smallest tumour.
     """
-    bump = 0.12 * radius
     distance = np.stack([cKDTree(vertices).query(candidates)[0] for vertices in vessels], axis=1)
-    excess = distance - (radius + bump + gap)
-    allowed = np.all(excess >= -0.5 * gap, axis=1)
-    if not allowed.any():
+    for scale in np.linspace(1.0, _SMALLEST, 9):
+        excess = distance - ((1.0 + _BUMP) * scale * radius + gap)
+        allowed = np.all(excess >= -0.5 * gap, axis=1)
+        if allowed.any():
+            break
+    else:
         raise InvalidInputError(f"found no room for a tumour of radius {radius} m between the vessels")
     best = int(np.argmin(np.where(allowed, np.abs(excess).sum(axis=1), np.inf)))
     return Tumour(
         centre=candidates[best],
-        radius=radius,
-        bump=bump,
+        radius=scale * radius,
+        bump=_BUMP * scale * radius,
         directions=rng.normal(0.0, 2.0, (5, 3)),
         phases=rng.uniform(0.0, 2.0 * np.pi, 5),
     )
