@@ -118,9 +118,18 @@ def test_worker_reports_a_crash():
 
 
 def test_gaps_in_sequence_numbers_are_losses():
-    losses = LossCounter()
-    numbers = [(b"a", 7), (b"a", 8), (b"a", 11), (b"b", 3), (b"a", 12), (b"b", 5), (b"a", 1)]
-    assert [losses.lost_before(publisher, n) for publisher, n in numbers] == [0, 0, 2, 0, 0, 1, 0]
+    losses = LossCounter(known=[b"a"])
+    numbers = [(b"a", 7), (b"a", 8), (b"a", 11), (b"a", 12), (b"a", 1), (b"a", 2)]
+    assert [losses.lost_before(publisher, n) for publisher, n in numbers] == [0, 0, 2, 0, 0, 0]
+
+
+def test_first_clouds_of_a_new_publisher_are_missed_too():
+    losses = LossCounter(known=[b"known"])
+    assert losses.lost_before(b"new", 3) == 2
+    assert losses.lost_before(b"new", 5) == 1
+    assert losses.lost_before(b"prompt", 1) == 0
+    assert losses.lost_before(b"known", 3) == 0
+    assert losses.lost_before(b"discovered late", 4711) == 0
 
 
 def test_counts_from_many_threads():

@@ -1,6 +1,7 @@
 """What became of the clouds since the node was activated. Knows no ROS."""
 
 import threading
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 
@@ -42,13 +43,25 @@ class FrameCounters:
 
 
 class LossCounter:
-    """Notices clouds lost on the way by gaps in a publisher's sequence numbers."""
+    """Notices clouds lost on the way by gaps in a publisher's sequence numbers, which begin at 1.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    known : collection of bytes
+        Publishers that may have published before anybody listened; of the others, what is missing before the
+        first message counts too, if it is little.
+    """
+
+    # A publisher that is further on was merely discovered late.
+    _START = 20
+
+    def __init__(self, known: Collection[bytes] = ()) -> None:
+        self._known = frozenset(known)
         self._last: dict[bytes, int] = {}
 
     def lost_before(self, publisher: bytes, sequence: int) -> int:
         """Return how many messages of a publisher are missing before the one with this number."""
-        last = self._last.get(publisher)
+        new = publisher not in self._known and sequence <= self._START
+        last = self._last.get(publisher, 0 if new else sequence)
         self._last[publisher] = sequence
-        return 0 if last is None else max(0, sequence - last - 1)
+        return max(0, sequence - last - 1)

@@ -1,7 +1,7 @@
 """What arrives: clouds, correspondences and registrations, until they are frames to answer."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,7 +67,6 @@ class Intake:
         self._node, self._counters, self._registration = node, counters, registration
         self._on_frame, self._on_refusal, self._on_warning = on_frame, on_refusal, on_warning
         self._matcher: StampMatcher[PointCloud2, Correspondences] = StampMatcher()
-        self._losses = LossCounter()
         self.last_cloud_s: float | None = None
         events = SubscriptionEventCallbacks(incompatible_qos=self._warn_incompatible)
         self._kept_registration: Any = None
@@ -81,6 +80,9 @@ class Intake:
         self._clouds = node.create_subscription(
             PointCloud2, "surface_points", self._take_cloud, CLOUD_QOS, event_callbacks=events
         )
+
+        offers = node.get_publishers_info_by_topic(self.topic)
+        self._losses = LossCounter([_identity(offer.endpoint_gid) for offer in offers])
 
     @property
     def waiting(self) -> int:
@@ -139,7 +141,7 @@ class Intake:
         publisher, sequence = info.get("publisher_gid"), info.get("publication_sequence_number")
         if not publisher or sequence is None:
             return 0
-        lost = self._losses.lost_before(bytes(publisher["data"]), int(sequence))
+        lost = self._losses.lost_before(_identity(publisher["data"]), int(sequence))
         if lost:
             self._on_warning(
                 f"{self.topic}: expected every cloud of its publisher, got a gap of {lost}, counted as dropped;"
@@ -177,3 +179,8 @@ class Intake:
             f"{self.topic}: expected a publisher that suits a best-effort subscription,"
             f" got one whose quality of service differs in {policy}; nothing of it will be received"
         )
+
+
+def _identity(gid: Iterable[int]) -> bytes:
+    """Return the 16 bytes that identify a publisher; some interfaces pad them."""
+    return bytes(gid)[:16]
