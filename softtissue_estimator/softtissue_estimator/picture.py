@@ -21,8 +21,9 @@ from softtissue_estimator.organ import Organ
 from softtissue_estimator.rendering import (
     Camera,
     Fragments,
+    behind_glass,
+    draw_solid,
     look_from,
-    over,
     rasterise_triangles,
     reduce_image,
     shade,
@@ -165,7 +166,7 @@ def _draw_before(axes: Axes, scene: Scene, camera: Camera) -> None:
     nearest, _ = cKDTree(scene.reference).query(organ.surface.vertices)
     seen = (np.asarray(nearest) < _SEEN_RADIUS).astype(float)
     image = _glass(organ.surface, camera, np.stack([seen, organ.attached.astype(float)], axis=1))
-    _show(axes, _behind(image, _solid(meshes, colours, camera)), "Before the operation")
+    _show(axes, behind_glass(image, draw_solid(meshes, colours, camera)), "Before the operation")
     entries = [("tracked part of the surface", _SEEN_COLOUR), ("attached", _ATTACHED_COLOUR)]
     names = [(s.name, np.array(s.colour[:3])) for s in organ.structures]
     _legend(axes, [_patch(name, colour) for name, colour in names + entries])
@@ -175,9 +176,9 @@ def _draw_during(axes: Axes, scene: Scene, camera: Camera) -> None:
     from matplotlib.lines import Line2D
 
     colours = [np.array(structure.colour[:3]) for structure in scene.organ.structures]
-    image = _solid(scene.structures(scene.estimated), colours, camera)
+    image = draw_solid(scene.structures(scene.estimated), colours, camera)
     if scene.surface is not None:
-        image = _behind(_glass(scene.surface, camera), image)
+        image = behind_glass(_glass(scene.surface, camera), image)
     _show(axes, image, "During the operation, estimated")
     _outline(axes, [scene.organ.surface], camera, _GREY, 1.1, "dashed")
     points = camera.project(scene.observed) / _SMOOTHING
@@ -203,9 +204,9 @@ def _draw_error(axes: Axes, scene: Scene, true: Array, camera: Camera) -> None:
     top = max(1.0, top)
     colour_map = colormaps["turbo"]
     colours = [colour_map(part / top)[:, :3] for part in scene.split(error)]
-    image = _solid(scene.structures(scene.estimated), colours, camera)
+    image = draw_solid(scene.structures(scene.estimated), colours, camera)
     if scene.surface is not None:
-        image = _behind(_glass(scene.surface, camera, faint=True), image)
+        image = behind_glass(_glass(scene.surface, camera, faint=True), image)
     _show(axes, image, "Distance from the truth")
     handles = [] if scene.markers is None else _draw_markers(axes, scene.markers, camera)
     _legend(axes, handles)
@@ -246,20 +247,6 @@ def _draw_markers(axes: Axes, markers: Markers, camera: Camera) -> list[Any]:
     ]
 
 
-def _solid(meshes: list[SurfaceMesh], colours: list[Array], camera: Camera) -> Array:
-    """Draw opaque meshes together; a colour is ``(3,)`` or one a vertex ``(n, 3)``."""
-    image = np.zeros((*camera.shape, 4))
-    nearness = np.full(camera.shape, -np.inf)
-    for mesh, colour in zip(meshes, colours, strict=True):
-        values = np.broadcast_to(colour, (len(mesh.vertices), 3))
-        fragments = rasterise_triangles(mesh, camera, values)
-        front = fragments.nearness > nearness
-        nearness[front] = fragments.nearness[front]
-        image[front, :3] = shade(fragments.normal[front], fragments.values[front])
-        image[front, 3] = 1.0
-    return image
-
-
 def _glass(surface: SurfaceMesh, camera: Camera, flags: Array | None = None, *, faint: bool = False) -> Array:
     """Draw the organ's near side as if of glass; `flags` ``(n, 2)`` mark seen and attached vertices (0 or 1)."""
     near: Fragments = rasterise_triangles(surface, camera, flags)
@@ -278,13 +265,6 @@ def _glass(surface: SurfaceMesh, camera: Camera, flags: Array | None = None, *, 
     image[covered, :3] = shade(near.normal[covered], colour[covered], shine=0.18)
     image[covered, 3] = alpha[covered, 0]
     return image
-
-
-def _behind(glass: Array, solid: Array) -> Array:
-    """Put what is solid behind the glass, which is thinned there so that colours stay clear."""
-    thinned = glass.copy()
-    thinned[..., 3] *= 1.0 - 0.5 * solid[..., 3]
-    return over(thinned, solid)
 
 
 def _show(axes: Axes, image: Array, title: str) -> None:

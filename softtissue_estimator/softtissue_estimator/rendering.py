@@ -196,3 +196,24 @@ def reduce_image(image: Array, factor: int) -> Array:
     mean = cut.mean(axis=(1, 3))
     mean[..., :3] /= np.maximum(mean[..., 3:], 1e-12)
     return np.asarray(np.clip(mean, 0.0, 1.0))
+
+
+def draw_solid(meshes: list[SurfaceMesh], colours: list[Array], camera: Camera) -> Array:
+    """Draw opaque meshes together; a colour is ``(3,)`` or one a vertex ``(n, 3)``."""
+    image = np.zeros((*camera.shape, 4))
+    nearness = np.full(camera.shape, -np.inf)
+    for mesh, colour in zip(meshes, colours, strict=True):
+        values = np.broadcast_to(colour, (len(mesh.vertices), 3))
+        fragments = rasterise_triangles(mesh, camera, values)
+        front = fragments.nearness > nearness
+        nearness[front] = fragments.nearness[front]
+        image[front, :3] = shade(fragments.normal[front], fragments.values[front])
+        image[front, 3] = 1.0
+    return image
+
+
+def behind_glass(glass: Array, solid: Array) -> Array:
+    """Put what is solid behind the glass, which is thinned there so that colours stay clear."""
+    thinned = glass.copy()
+    thinned[..., 3] *= 1.0 - 0.5 * solid[..., 3]
+    return over(thinned, solid)
