@@ -7,6 +7,7 @@ less time with it. Without it SciPy's SuperLU does the same work.
 from __future__ import annotations
 
 import os
+import sys
 from importlib.util import find_spec
 from typing import Any, Protocol
 
@@ -63,7 +64,8 @@ class PardisoSolver:
 
     def __del__(self) -> None:
         pardiso = getattr(self, "_pardiso", None)
-        if pardiso is not None:
+        # At the interpreter's end MKL's memory goes anyway, and what the call needs may be gone already.
+        if pardiso is not None and not sys.is_finalizing():
             pardiso.free_memory(everything=True)
 
 
