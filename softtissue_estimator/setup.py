@@ -43,11 +43,12 @@ setup(
         "scipy",
         "threadpoolctl",
         "torch",
+        "tqdm",
         "trimesh",
     ],
     extras_require={
         "vtk": ["vtk"],
-        "demo": ["matplotlib", "tqdm"],
+        "demo": ["matplotlib"],
         "dev": [
             "hypothesis",
             "matplotlib",
