@@ -124,6 +124,15 @@ def test_wrong_organ_at_start_is_one_sentence_and_exit_code_2(tmp_path, case, wo
         assert all(word in errors[0] for word in [*words, "expected"]), errors
 
 
+def write_checkpoint_of_another_architecture(path):
+    from softtissue_estimator.checkpoint import save_checkpoint
+    from softtissue_estimator.network import UNet, UNetArchitecture
+    from softtissue_estimator.network_input import NetworkSpec
+
+    promised = NetworkSpec(architecture=UNetArchitecture(widths=(4, 4, 4, 8)))
+    save_checkpoint(path, UNet(UNetArchitecture(widths=(4, 4, 6, 8))), promised, {})
+
+
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
@@ -132,11 +141,16 @@ def test_wrong_organ_at_start_is_one_sentence_and_exit_code_2(tmp_path, case, wo
         ({"minimum_points": "many"}, ["minimum_points", "many"]),
         ({"estimator": "paper", "checkpoint": "{tmp}/nowhere.safetensors"}, ["nowhere.safetensors"]),
         ({"estimator": "paper", "checkpoint": "{tmp}/damaged.safetensors"}, ["damaged.safetensors"]),
+        (
+            {"estimator": "paper", "checkpoint": "{tmp}/other.safetensors"},
+            ["other.safetensors", "architecture"],
+        ),
     ],
-    ids=["estimator", "range", "type", "no checkpoint", "damaged checkpoint"],
+    ids=["estimator", "range", "type", "no checkpoint", "damaged checkpoint", "other architecture"],
 )
 def test_wrong_parameter_at_start_is_one_sentence_and_exit_code_2(folder, tmp_path, parameters, words):
     (tmp_path / "damaged.safetensors").write_bytes(b"\x10\x00\x00\x00\x00\x00\x00\x00{broken")
+    write_checkpoint_of_another_architecture(tmp_path / "other.safetensors")
     given = {name: str(value).format(tmp=tmp_path) for name, value in parameters.items()}
     with NodeProcess(new_domain(), tmp_path, {"organ": folder} | given) as node:
         assert node.wait(60.0) == 2
