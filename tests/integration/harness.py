@@ -31,7 +31,7 @@ from softtissue_estimator.ros.transport import use_profile
 # `make demo` and `make test` themselves run in 1 to 100.
 DOMAINS = range(101, 201)
 _next = itertools.count(7 * os.getpid())
-_held: list[int] = []  # locks of the domains that this session uses; the system lets go of them at its end
+_held: list[int] = []  # locks of the domains that this run uses; the system lets go of them at its end
 
 ORGAN_YAML = """
 name: Test organ
@@ -47,7 +47,7 @@ attached:
 
 
 def new_domain() -> int:
-    """A ROS domain that no other test uses, not even of another session on this machine."""
+    """A ROS domain that no other test uses, not even of another run on this machine."""
     for _ in DOMAINS:
         domain = DOMAINS[next(_next) % len(DOMAINS)]
         path = Path(tempfile.gettempdir()) / f"softtissue-test-domain-{domain}"

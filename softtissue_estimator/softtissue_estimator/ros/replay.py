@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.ros.runtime import Spinner, StopRequest
+from softtissue_estimator.ros.runtime import Spinner, StopRequest, run_tool
 
 ACKNOWLEDGE_S = 2.0
 MATCH_S = 0.5
@@ -175,23 +175,7 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
 
 def main() -> None:
     """Run the executable."""
-    stop = StopRequest()
-    import rclpy
-    from rclpy.signals import SignalHandlerOptions
-    from rclpy.utilities import remove_ros_args
-
-    from softtissue_estimator.ros.transport import use_profile
-
-    options = parse(remove_ros_args(sys.argv)[1:])
-    use_profile()
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        code = run(options, stop)
-    except InvalidInputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        code = 2
-    rclpy.try_shutdown()
-    sys.exit(code)
+    run_tool(parse, run)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,13 @@
 """How the executables start and end: signals, one thread that spins, exit codes."""
 
+import argparse
 import os
 import signal
 import sys
 import threading
 from collections.abc import Callable
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 # Nothing heavy is imported here: signals must be caught before that begins.
 
@@ -98,3 +99,35 @@ def leave(exit_code: int, orderly: bool) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(exit_code)
+
+
+def run_tool(
+    parse: Callable[[list[str]], argparse.Namespace], run: Callable[[argparse.Namespace, StopRequest], int]
+) -> NoReturn:
+    """Run an executable that does one thing and ends: 0 or what `run` says; 2 for input that cannot be used.
+
+    Parameters
+    ----------
+    parse : callable
+        Takes the command line without ROS's own arguments.
+    run : callable
+        Takes what `parse` returned and a request to stop, and returns the exit code.
+    """
+    stop = StopRequest()
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+    from rclpy.utilities import remove_ros_args
+
+    from softtissue_estimator.errors import SoftTissueError
+    from softtissue_estimator.ros.transport import use_profile
+
+    options = parse(remove_ros_args(sys.argv)[1:])
+    use_profile()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        code = run(options, stop)
+    except SoftTissueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        code = 2
+    rclpy.try_shutdown()
+    sys.exit(code)

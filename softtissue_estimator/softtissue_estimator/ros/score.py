@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softtissue_estimator.ros.runtime import Spinner, StopRequest
+from softtissue_estimator.ros.runtime import Spinner, StopRequest, run_tool
 from softtissue_estimator.ros.scoring import Record, failures, make_report, table
 
 FloatArray = NDArray[np.float64]
@@ -223,24 +223,7 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
 
 def main() -> None:
     """Run the executable."""
-    stop = StopRequest()
-    import rclpy
-    from rclpy.signals import SignalHandlerOptions
-    from rclpy.utilities import remove_ros_args
-
-    from softtissue_estimator.errors import SoftTissueError
-    from softtissue_estimator.ros.transport import use_profile
-
-    options = parse(remove_ros_args(sys.argv)[1:])
-    use_profile()
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        code = run(options, stop)
-    except SoftTissueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        code = 2
-    rclpy.try_shutdown()
-    sys.exit(code)
+    run_tool(parse, run)
 
 
 if __name__ == "__main__":
