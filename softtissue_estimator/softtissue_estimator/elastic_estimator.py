@@ -1,6 +1,5 @@
 """The elastic posterior behind the interface of every estimator."""
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +20,7 @@ from softtissue_estimator.mesh import FloatArray, IntArray, sum_by_index, vertex
 from softtissue_estimator.observation import Observation
 from softtissue_estimator.organ import Organ
 from softtissue_estimator.rigid import RigidMotion, fit_rigid
+from softtissue_estimator.stopwatch import Stopwatch
 from softtissue_estimator.surface_lookup import SurfaceLookup
 from softtissue_estimator.volume_mesh import VolumeMesh, tetrahedralise
 
@@ -127,13 +127,13 @@ class ElasticEstimator(Estimator):
             return self._estimate(observation, prepared)
 
     def _estimate(self, observation: Observation, prepared: _Prepared) -> ElasticEstimate:
-        clock = _Clock()
+        watch = Stopwatch()
         patches = _average(observation, prepared.lookup, self._config.model_sigma_m)
-        clock.stage("match")
+        watch.lap("match")
         motion = fit_rigid(
             patches.reference, patches.reference + patches.displacement, patches.precision, ROTATION_PRIOR_RAD
         )
-        clock.stage("rigid")
+        watch.lap("rigid")
         sample = prepared.lookup.nearest_sample(patches.reference)
         seen = _interpolation(prepared.mesh, patches.reference, prepared.sample_tet[sample])
         lift = _lift(prepared.prior, motion)
@@ -143,13 +143,13 @@ class ElasticEstimator(Estimator):
         weight = _student_weights(local - seen @ posterior.mean, precision)
         if weight.min() < 0.25:
             posterior = condition(prepared.prior, seen, local, weight * precision, self._config.prior_sigma_m)
-        clock.stage("solve")
+        watch.lap("solve")
         sigma = standard_deviation(prepared.prior, posterior)
-        clock.stage("uncertainty")
+        watch.lap("uncertainty")
         estimate = ElasticEstimate(
-            prepared, motion, posterior.mean + lift, sigma, self._config.model_sigma_m, clock.stages
+            prepared, motion, posterior.mean + lift, sigma, self._config.model_sigma_m, watch.stages
         )
-        clock.stage("warp")
+        watch.lap("warp")
         return estimate
 
 
@@ -250,16 +250,3 @@ def _student_weights(residual: FloatArray, precision: FloatArray) -> FloatArray:
     squared = np.einsum("cd,cd->c", residual, residual) * precision / 3.0
     scale = max(1.0, float(np.median(squared)))
     return np.asarray((_STUDENT_FREEDOM + 3.0) / (_STUDENT_FREEDOM + 3.0 * squared / scale)).clip(max=1.0)
-
-
-class _Clock:
-    """Seconds between stages."""
-
-    def __init__(self) -> None:
-        self.stages: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def stage(self, name: str) -> None:
-        now = time.perf_counter()
-        self.stages[name] = now - self._last
-        self._last = now

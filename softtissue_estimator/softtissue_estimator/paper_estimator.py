@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +29,7 @@ from softtissue_estimator.network_input import (
 from softtissue_estimator.observation import Observation
 from softtissue_estimator.organ import Organ
 from softtissue_estimator.resources import bundled_checkpoint
+from softtissue_estimator.stopwatch import Stopwatch
 
 FloatArray = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ class PaperEstimator(Estimator):
         """Rasterise the visible displacement, run the network, read its field at the organ's query points."""
         if self._channels is None or self._sampler is None:
             raise InvalidInputError("no organ is loaded: expected load_organ before the first observation")
-        clock = _Clock(self._device)
+        watch = _stopwatch(self._device)
         with torch.inference_mode():
             visible = visible_displacement(
                 self._channels.grid,
@@ -96,12 +96,12 @@ class PaperEstimator(Estimator):
                 torch.from_numpy(observation.sigma).to(self._device),
             )
             inputs = assemble_input(self._channels, visible, self._spec)
-            clock.stage("rasterise")
+            watch.lap("rasterise")
             field = self._forward(inputs)
-            clock.stage("network")
+            watch.lap("network")
             displacement = self._sampler(field).double().cpu().numpy()
-            clock.stage("warp")
-        return PaperEstimate(self._channels, field, displacement, clock.stages)
+            watch.lap("warp")
+        return PaperEstimate(self._channels, field, displacement, watch.stages)
 
     def _forward(self, inputs: Tensor) -> Tensor:
         """Return the displacement field (X, Y, Z, 3) in metres, zero outside the organ."""
@@ -133,17 +133,8 @@ def _cached_channels(organ: Organ, spec: NetworkSpec) -> OrganChannels:
     )
 
 
-class _Clock:
-    """Seconds between stages; waits for the GPU, so that a stage is charged with its own work."""
-
-    def __init__(self, device: torch.device) -> None:
-        self._device = device
-        self._last = time.perf_counter()
-        self.stages: dict[str, float] = {}
-
-    def stage(self, name: str) -> None:
-        if self._device.type == "cuda":
-            torch.cuda.synchronize(self._device)
-        now = time.perf_counter()
-        self.stages[name] = now - self._last
-        self._last = now
+def _stopwatch(device: torch.device) -> Stopwatch:
+    """Return a stopwatch that waits for the GPU, so that a stage is charged with its own work."""
+    if device.type == "cuda":
+        return Stopwatch(finish=lambda: torch.cuda.synchronize(device))
+    return Stopwatch()

@@ -1,6 +1,5 @@
 """From one cloud to one answer."""
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from softtissue_estimator.organ import Organ
 from softtissue_estimator.ros.conversions import Cloud, read_cloud
 from softtissue_estimator.ros.correspondences import read_correspondences
 from softtissue_estimator.ros.registration import Registration, transform_points
+from softtissue_estimator.stopwatch import Stopwatch
 from softtissue_estimator.visibility import visible_fraction
 
 FloatArray = NDArray[np.float64]
@@ -80,20 +80,6 @@ class Answer:
     rejected_fraction: float
     visible_fraction: float
     stages: dict[str, float]
-
-
-class Stopwatch:
-    """Times consecutive stages."""
-
-    def __init__(self, start_s: float) -> None:
-        self.stages: dict[str, float] = {}
-        self._last = start_s
-
-    def lap(self, name: str) -> None:
-        """End the stage that began with the previous lap."""
-        now = time.monotonic()
-        self.stages[name] = now - self._last
-        self._last = now
 
 
 def answer_frame(
