@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -44,14 +45,49 @@ def rasterise(
     support
         (X, Y, Z) bool, true where a point lies within two cells along every axis.
     """
-    _check(points, values, weights)
-    count = values.shape[1]
-    accumulated = _splat(grid, points, _numerator_and_denominator(values, weights))
-    smooth = _smooth(accumulated.reshape(*grid.shape, count + 1))
+    mean, support = rasterise_many([grid], [points], [values], None if weights is None else [weights])
+    return mean[0], support[0]
+
+
+def rasterise_many(
+    grids: Sequence[VoxelGrid],
+    points: Sequence[Tensor],
+    values: Sequence[Tensor],
+    weights: Sequence[Tensor] | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Do the same for several clouds at once, each on a grid of its own, all with the same cell counts.
+
+    Returns
+    -------
+    values
+        (B, X, Y, Z, c).
+    support
+        (B, X, Y, Z) bool.
+    """
+    given: Sequence[Tensor | None] = [None] * len(points) if weights is None else weights
+    for cloud in zip(points, values, given, strict=True):
+        _check(*cloud)
+    shape, count = grids[0].shape, values[0].shape[1]
+    if any(grid.shape != shape for grid in grids):
+        raise InvalidInputError(
+            f"grids that are filled together must have the same cell counts, got {[grid.shape for grid in grids]}"
+        )
+    position = torch.cat([_position(grid, cloud) for grid, cloud in zip(grids, points, strict=True)])
+    data = torch.cat([_numerator_and_denominator(*cloud) for cloud in zip(values, given, strict=True)])
+    lengths = torch.tensor([len(cloud) for cloud in points], device=position.device)
+    number = torch.arange(len(grids), device=position.device)
+    owner = number.repeat_interleave(lengths, output_size=len(position))
+    accumulated = _splat(position, data, owner, shape, len(grids))
+    smooth = _smooth(accumulated.reshape(len(grids), *shape, count + 1))
     denominator = smooth[..., count]
     support = denominator > 0.0
     mean = smooth[..., :count] / torch.where(support, denominator, 1.0).unsqueeze(-1)
     return mean * support.unsqueeze(-1), support
+
+
+def _position(grid: VoxelGrid, points: Tensor) -> Tensor:
+    origin = torch.tensor(grid.origin, dtype=points.dtype, device=points.device)
+    return (points - origin) / grid.spacing
 
 
 def _numerator_and_denominator(values: Tensor, weights: Tensor | None) -> Tensor:
@@ -64,28 +100,40 @@ def _numerator_and_denominator(values: Tensor, weights: Tensor | None) -> Tensor
     return torch.cat([values * relative, relative], dim=1)
 
 
-def _splat(grid: VoxelGrid, points: Tensor, data: Tensor) -> Tensor:
-    """Add data (n, k) to the eight cells around each point with trilinear weights; returns (cells, k)."""
-    origin = torch.tensor(grid.origin, dtype=points.dtype, device=points.device)
-    position = (points - origin) / grid.spacing
+def _splat(position: Tensor, data: Tensor, owner: Tensor, shape: tuple[int, int, int], grids: int) -> Tensor:
+    """Add data (n, k) to the eight cells around each point with trilinear weights.
+
+    Parameters
+    ----------
+    position
+        (n, 3) in cells of its own grid.
+    owner
+        (n,) number of each point's grid.
+
+    Returns
+    -------
+    Tensor
+        (grids * cells, k).
+    """
+    cells = math.prod(shape)
     base = position.floor()
     fraction = (position - base).to(data.dtype)
     base = base.long()
-    shape = torch.tensor(grid.shape, device=points.device)
-    total = data.new_zeros((grid.cells, data.shape[1]))
+    limit = torch.tensor(shape, device=position.device)
+    total = data.new_zeros((grids * cells, data.shape[1]))
     for corner in itertools.product((0, 1), repeat=3):
-        offset = torch.tensor(corner, device=points.device)
+        offset = torch.tensor(corner, device=position.device)
         cell = base + offset
-        inside = ((cell >= 0) & (cell < shape)).all(dim=1)
+        inside = ((cell >= 0) & (cell < limit)).all(dim=1)
         share = torch.where(offset.bool(), fraction, 1.0 - fraction).prod(dim=1) * inside
-        flat = (cell[:, 0] * grid.shape[1] + cell[:, 1]) * grid.shape[2] + cell[:, 2]
+        flat = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2] + owner * cells
         total.index_add_(0, torch.where(inside, flat, 0), data * share.unsqueeze(1))
     return total
 
 
 def _smooth(data: Tensor) -> Tensor:
-    """Convolve (X, Y, Z, k) with the truncated Gaussian along each axis, zero beyond the grid."""
-    for axis in range(3):
+    """Convolve (B, X, Y, Z, k) with the truncated Gaussian along each axis, zero beyond the grid."""
+    for axis in range(1, 4):
         smooth = data.clone()
         for step in range(1, KERNEL_RADIUS_CELLS + 1):
             factor = math.exp(-0.5 * (step / KERNEL_SIGMA_CELLS) ** 2)

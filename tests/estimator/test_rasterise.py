@@ -6,7 +6,7 @@ import torch
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.grid import VoxelGrid
-from softtissue_estimator.rasterise import rasterise
+from softtissue_estimator.rasterise import rasterise, rasterise_many
 
 GRID = VoxelGrid((-0.04, -0.05, -0.06), 0.005, (16, 20, 24))
 
@@ -72,3 +72,23 @@ def test_mismatched_shapes_are_refused(
 ) -> None:
     with pytest.raises(InvalidInputError, match="got"):
         rasterise(GRID, points, values, weights)
+
+
+def test_clouds_filled_together_do_not_mix() -> None:
+    rng = np.random.default_rng(11)
+    grids = [VoxelGrid((0.01 * n, -0.02 * n, 0.0), 0.01, (8, 8, 16)) for n in range(3)]
+    points = [torch.from_numpy(rng.uniform(-0.02, 0.18, size=(n, 3))) for n in (40, 0, 7)]
+    values = [torch.from_numpy(rng.normal(size=(len(cloud), 2))) for cloud in points]
+    together, support = rasterise_many(grids, points, values)
+    for number, cloud in enumerate(zip(grids, points, values, strict=True)):
+        alone, alone_support = rasterise(*cloud)
+        assert bool(alone_support.any()) == (len(cloud[1]) > 0)
+        torch.testing.assert_close(together[number], alone, rtol=0, atol=0)
+        assert torch.equal(support[number], alone_support)
+
+
+def test_grids_filled_together_must_have_the_same_cell_counts() -> None:
+    grids = [VoxelGrid((0.0, 0.0, 0.0), 0.01, (8, 8, 16)), VoxelGrid((0.0, 0.0, 0.0), 0.01, (16, 8, 8))]
+    empty = [torch.zeros(0, 3)] * 2
+    with pytest.raises(InvalidInputError, match="same cell counts, got .*8, 8, 16.*16, 8, 8"):
+        rasterise_many(grids, empty, empty)
