@@ -41,6 +41,17 @@ def test_tangent_is_the_derivative_of_the_stress(law):
 
 
 @pytest.mark.parametrize("law", LAWS)
+def test_contracted_tangent_is_the_tangent_between_two_vectors(law):
+    material = Material(law)
+    gradients = _deformations(6)
+    first, second = np.random.default_rng(7).normal(size=(2, len(gradients), 3))
+    expected = np.einsum("eJ,eiJkL,eL->eik", first, material.tangent(gradients), second)
+    np.testing.assert_allclose(
+        material.contracted_tangent(gradients, first, second), expected, rtol=1e-10, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("law", LAWS)
 def test_energy_does_not_change_under_rotation_before_or_after(law):
     material = Material(law)
     gradients = _deformations(3)

@@ -3,48 +3,17 @@
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from scipy.spatial import Delaunay
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.errors import SolverDivergedError
 from softtissue_training.material import LAWS, Material
 from softtissue_training.solver import solve
-from softtissue_training.tetrahedralise import signed_volumes
-
-
-def _block(cells=3, seed=0):
-    """Unit cube of tetrahedra with irregular inner vertices: vertices (n, 3), tets (t, 4)."""
-    rng = np.random.default_rng(seed)
-    axis = np.linspace(0.0, 1.0, cells + 1)
-    vertices = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    inner = ((vertices > 0) & (vertices < 1)).all(axis=1)
-    vertices[inner] += rng.uniform(-0.1, 0.1, size=(int(inner.sum()), 3))
-    # Joggled so that the Delaunay cells of the regular lattice are not degenerate.
-    tets = Delaunay(vertices + rng.uniform(-1e-4, 1e-4, size=vertices.shape)).simplices.astype(np.int64)
-    volumes = signed_volumes(vertices, tets)
-    tets[volumes < 0] = tets[volumes < 0][:, [0, 1, 3, 2]]
-    tets = tets[np.abs(volumes) > 1e-6]
-    assert signed_volumes(vertices, tets).sum() == pytest.approx(1.0, abs=1e-9)
-    return vertices, tets
-
-
-def _face_loads(vertices, tets, axis):
-    """Return the area that each vertex carries of the cube's face at coordinate 1 along an axis, (n,)."""
-    loads = np.zeros(len(vertices))
-    for corners in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)):
-        triangles = tets[:, corners]
-        triangles = triangles[(vertices[triangles][..., axis] > 1 - 1e-9).all(axis=1)]
-        a, b, c = (vertices[triangles[:, i]] for i in range(3))
-        area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
-        for i in range(3):
-            np.add.at(loads, triangles[:, i], area / 3.0)
-    assert loads.sum() == pytest.approx(1.0)
-    return loads
+from verification.blocks import block, face_loads
 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_patch_test_reproduces_a_homogeneous_deformation(law):
-    vertices, tets = _block()
+    vertices, tets = block()
     gradient = np.array([[0.15, 0.08, -0.05], [-0.04, -0.10, 0.12], [0.06, 0.02, 0.09]])
     exact = vertices @ gradient.T
     boundary = ((vertices == 0) | (vertices == 1)).any(axis=1)
@@ -75,10 +44,10 @@ def _nominal_stress(material, stretch):
 @pytest.mark.parametrize("stretch", [0.85, 1.1, 1.6])
 def test_uniaxial_tension(law, stretch):
     material = Material(law)
-    vertices, tets = _block()
+    vertices, tets = block()
     sliding = vertices == 0.0  # each of three faces slides in its own plane
     force = np.zeros_like(vertices)
-    force[:, 0] = _face_loads(vertices, tets, 0) * _nominal_stress(material, stretch)
+    force[:, 0] = face_loads(vertices, tets, 0) * _nominal_stress(material, stretch)
     solution = solve(vertices, tets, sliding, force, material, tolerance=1e-11)
     across = _transverse_stretch(material, stretch)
     exact = vertices * (np.array([stretch, across, across]) - 1.0)
@@ -87,7 +56,7 @@ def test_uniaxial_tension(law, stretch):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_reactions_balance_load_and_moment(law):
-    vertices, tets = _block()
+    vertices, tets = block()
     fixed = vertices[:, 0] == 0.0
     force = np.zeros_like(vertices)
     force[vertices[:, 0] == 1.0] = [2.0, 3.0, -4.0]
@@ -118,7 +87,7 @@ def test_large_bending_agrees_with_torch_fem():
             + parameters[1] / 2 * log_j**2
         )
 
-    vertices, tets = _block()
+    vertices, tets = block()
     vertices = vertices * [0.3, 0.1, 0.1]
     fixed = vertices[:, 0] == 0.0
     force = np.zeros_like(vertices)
@@ -141,7 +110,7 @@ def test_large_bending_agrees_with_torch_fem():
 
 
 def test_a_load_without_equilibrium_is_reported():
-    vertices, tets = _block()
+    vertices, tets = block()
     force = np.zeros_like(vertices)
     force[vertices[:, 0] == 1.0] = [-1e4, 0.0, 0.0]  # St Venant-Kirchhoff collapses under compression
     with pytest.raises(SolverDivergedError, match="got|energy"):
@@ -151,7 +120,7 @@ def test_a_load_without_equilibrium_is_reported():
 
 
 def test_inverted_elements_and_loose_bodies_are_refused():
-    vertices, tets = _block()
+    vertices, tets = block()
     force = np.zeros_like(vertices)
     with pytest.raises(InvalidInputError, match="positively oriented"):
         solve(vertices, tets[:, [1, 0, 2, 3]], vertices[:, 0] == 0.0, force, Material())

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_training.small_matrices import determinant, inverse
 
 FloatArray = NDArray[np.float64]
 Law = Literal["neo_hookean", "st_venant_kirchhoff"]
@@ -61,7 +62,7 @@ class Material:
         """Return W, (...) J/m^3, for F (..., 3, 3); infinite where F is inverted."""
         f = deformation_gradient
         lam, mu = self.lame_pa
-        det = np.linalg.det(f)
+        det = determinant(f)
         if self.law == "neo_hookean":
             log_j = np.log(np.where(det > 0.0, det, 1.0))
             value = 0.5 * mu * (np.einsum("...iJ,...iJ->...", f, f) - 3.0) - mu * log_j + 0.5 * lam * log_j**2
@@ -76,11 +77,11 @@ class Material:
         f = deformation_gradient
         lam, mu = self.lame_pa
         if self.law == "neo_hookean":
-            inverse_t = np.swapaxes(np.linalg.inv(f), -1, -2)
-            log_j = np.log(np.linalg.det(f))[..., None, None]
-            neo: FloatArray = mu * (f - inverse_t) + lam * log_j * inverse_t
+            inverse_f, det = inverse(f)
+            inverse_t = np.swapaxes(inverse_f, -1, -2)
+            neo: FloatArray = mu * f + (lam * np.log(det) - mu)[..., None, None] * inverse_t
             return neo
-        kirchhoff: FloatArray = f @ self._second_piola_kirchhoff(f)
+        kirchhoff: FloatArray = np.einsum("...iK,...KJ->...iJ", f, self._second_piola_kirchhoff(f))
         return kirchhoff
 
     def tangent(self, deformation_gradient: FloatArray) -> FloatArray:
@@ -88,8 +89,9 @@ class Material:
         f = deformation_gradient
         lam, mu = self.lame_pa
         if self.law == "neo_hookean":
-            inverse_t = np.swapaxes(np.linalg.inv(f), -1, -2)
-            log_j = np.log(np.linalg.det(f))[..., None, None, None, None]
+            inverse_f, det = inverse(f)
+            inverse_t = np.swapaxes(inverse_f, -1, -2)
+            log_j = np.log(det)[..., None, None, None, None]
             neo: FloatArray = (
                 mu * np.einsum("ik,JL->iJkL", _IDENTITY, _IDENTITY)
                 + (mu - lam * log_j) * np.einsum("...iL,...kJ->...iJkL", inverse_t, inverse_t)
@@ -105,6 +107,34 @@ class Material:
         )
         return kirchhoff
 
+    def contracted_tangent(
+        self, deformation_gradient: FloatArray, first: FloatArray, second: FloatArray
+    ) -> FloatArray:
+        """Return a_J A[i, J, k, L] b_L, (..., 3, 3), for vectors a and b, (..., 3): the stiffness of two vertices.
+
+        The same as contracting `tangent`, without its 81 components.
+        """
+        f = deformation_gradient
+        lam, mu = self.lame_pa
+        along = np.einsum("...J,...J->...", first, second)
+        if self.law == "neo_hookean":
+            inverse_f, det = inverse(f)
+            spatial_first = np.einsum("...J,...Ji->...i", first, inverse_f)
+            spatial_second = np.einsum("...J,...Ji->...i", second, inverse_f)
+            shear = (mu - lam * np.log(det))[..., None, None]
+            blocks = lam * _outer(spatial_first, spatial_second) + shear * _outer(
+                spatial_second, spatial_first
+            )
+            return _add_to_diagonal(blocks, mu * along)
+        stress = self._second_piola_kirchhoff(f)
+        spatial_first = np.einsum("...iJ,...J->...i", f, first)
+        spatial_second = np.einsum("...iJ,...J->...i", f, second)
+        left = np.einsum("...iK,...jK->...ij", f, f)
+        blocks = lam * _outer(spatial_first, spatial_second) + mu * _outer(spatial_second, spatial_first)
+        blocks = blocks + mu * along[..., None, None] * left
+        traction = np.einsum("...JL,...L->...J", stress, second)
+        return _add_to_diagonal(blocks, np.einsum("...J,...J->...", first, traction))
+
     def _second_piola_kirchhoff(self, f: FloatArray) -> FloatArray:
         lam, mu = self.lame_pa
         strain = _green_lagrange(f)
@@ -114,5 +144,16 @@ class Material:
 
 
 def _green_lagrange(f: FloatArray) -> FloatArray:
-    result: FloatArray = 0.5 * (np.swapaxes(f, -1, -2) @ f - _IDENTITY)
+    result: FloatArray = 0.5 * (np.einsum("...KI,...KJ->...IJ", f, f) - _IDENTITY)
     return result
+
+
+def _outer(a: FloatArray, b: FloatArray) -> FloatArray:
+    result: FloatArray = a[..., :, None] * b[..., None, :]
+    return result
+
+
+def _add_to_diagonal(matrices: FloatArray, values: FloatArray) -> FloatArray:
+    for i in range(3):
+        matrices[..., i, i] += values
+    return matrices

@@ -1,0 +1,37 @@
+"""Meshes of the verification tests."""
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay
+
+from softtissue_training.tetrahedralise import signed_volumes
+
+
+def block(cells=3, seed=0):
+    """Unit cube of tetrahedra with irregular inner vertices: vertices (n, 3), tets (t, 4)."""
+    rng = np.random.default_rng(seed)
+    axis = np.linspace(0.0, 1.0, cells + 1)
+    vertices = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    inner = ((vertices > 0) & (vertices < 1)).all(axis=1)
+    vertices[inner] += rng.uniform(-0.1, 0.1, size=(int(inner.sum()), 3))
+    # Joggled so that the Delaunay cells of the regular lattice are not degenerate.
+    tets = Delaunay(vertices + rng.uniform(-1e-4, 1e-4, size=vertices.shape)).simplices.astype(np.int64)
+    volumes = signed_volumes(vertices, tets)
+    tets[volumes < 0] = tets[volumes < 0][:, [0, 1, 3, 2]]
+    tets = tets[np.abs(volumes) > 1e-6]
+    assert signed_volumes(vertices, tets).sum() == pytest.approx(1.0, abs=1e-9)
+    return vertices, tets
+
+
+def face_loads(vertices, tets, axis):
+    """Return the area that each vertex carries of the cube's face at coordinate 1 along an axis, (n,)."""
+    loads = np.zeros(len(vertices))
+    for corners in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)):
+        triangles = tets[:, corners]
+        triangles = triangles[(vertices[triangles][..., axis] > 1 - 1e-9).all(axis=1)]
+        a, b, c = (vertices[triangles[:, i]] for i in range(3))
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+        for i in range(3):
+            np.add.at(loads, triangles[:, i], area / 3.0)
+    assert loads.sum() == pytest.approx(1.0)
+    return loads
