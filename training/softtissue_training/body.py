@@ -118,7 +118,7 @@ class Body:
         by_component = (blocks * self.volume[:, None, None, None]).transpose(2, 3, 1, 0).reshape(9, -1)
         sums = np.empty((9, self._sum_blocks.shape[0]))
         for component, values in enumerate(by_component):
-            total: FloatArray = self._sum_blocks @ values
+            total: FloatArray = np.asarray(self._sum_blocks @ values)
             sums[component] = total
         result: FloatArray = sums.ravel()[self._order]
         return result
