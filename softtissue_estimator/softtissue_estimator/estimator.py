@@ -125,6 +125,11 @@ def register_estimator(name: str, factory: Factory) -> None:
     _factories[name] = factory
 
 
+def estimator_names() -> tuple[str, ...]:
+    """Return the names that `create_estimator` knows, sorted."""
+    return tuple(sorted(_factories))
+
+
 def create_estimator(config: EstimatorConfig) -> Estimator:
     """Make the estimator that `config.estimator` names.
 
@@ -138,6 +143,6 @@ def create_estimator(config: EstimatorConfig) -> Estimator:
     factory = _factories.get(config.estimator)
     if factory is None:
         raise InvalidInputError(
-            f"parameter estimator: expected one of {', '.join(sorted(_factories))}, got {config.estimator!r}"
+            f"parameter estimator: expected one of {', '.join(estimator_names())}, got {config.estimator!r}"
         )
     return factory(config)

@@ -19,3 +19,7 @@ class RejectedSampleError(SoftTissueError):
     def __init__(self, reason: str, message: str) -> None:
         super().__init__(message)
         self.reason = reason
+
+
+class EvaluationStoppedError(SoftTissueError):
+    """An evaluation that cannot be finished now; what it has measured is kept."""

@@ -1,0 +1,1 @@
+"""How far estimators are off: cases with a known truth, estimators that answer them, measures and reports."""
