@@ -5,21 +5,23 @@ import dataclasses
 import numpy as np
 import pytest
 
-from softtissue_training.archive import write_sample
-from softtissue_training.sample import Sample, simulate
+from softtissue_training.archive import format_record, record_name, write_record
+from softtissue_training.recipe import Recipe
+from softtissue_training.sample import Record, Sample, simulate
 
-ELEMENT_SIZE_M = 0.02
-
-
-@pytest.fixture(scope="session")
-def _simulated():
-    return [simulate(3, number, edge_length_m=ELEMENT_SIZE_M) for number in range(6)]
+COARSE = Recipe(element_size_m=0.02)
 
 
 @pytest.fixture(scope="session")
-def samples(_simulated) -> list[Sample]:
-    """Six simulations with coarse elements."""
-    return [sample for sample, _ in _simulated]
+def records() -> list[Record]:
+    """Six organs with coarse elements, one load case each."""
+    return [simulate(3, number, COARSE) for number in range(6)]
+
+
+@pytest.fixture(scope="session")
+def samples(records) -> list[Sample]:
+    """The simulations of `records`."""
+    return [record.simulations[0] for record in records]
 
 
 @pytest.fixture(scope="session")
@@ -33,9 +35,9 @@ LINEAR = np.array([[0.1, 0.2, -0.1], [0.05, -0.1, 0.3], [-0.2, 0.1, 0.15]])
 
 
 @pytest.fixture(scope="session")
-def data_folder(_simulated, tmp_path_factory):
-    """Folder with the records of `samples`."""
+def data_folder(records, tmp_path_factory):
+    """Folder with `records`."""
     folder = tmp_path_factory.mktemp("sims")
-    for sample, rejected in _simulated:
-        write_sample(folder, sample, rejected)
+    for number, record in enumerate(records):
+        write_record(folder, record_name(number), format_record(record))
     return folder

@@ -3,14 +3,15 @@ import pytest
 import trimesh
 
 from softtissue_estimator.mesh import SurfaceMesh, face_areas, vertex_areas
-from softtissue_training.boundary_conditions import (
+from softtissue_training.boundary_conditions import random_boundary_conditions
+from softtissue_training.errors import RejectedSampleError
+from softtissue_training.recipe import Recipe
+from softtissue_training.surface_patch import (
     grow_patch,
-    random_boundary_conditions,
     random_patch,
     random_vertex,
     surface_distance,
 )
-from softtissue_training.errors import RejectedSampleError
 
 RADIUS = 0.06
 
@@ -43,7 +44,7 @@ def test_force_is_spread_by_area_over_a_patch_and_at_most_one_newton(ball):
     magnitudes = []
     for seed in range(30):
         try:
-            conditions = random_boundary_conditions(ball, np.random.default_rng(seed))
+            conditions = random_boundary_conditions(ball, Recipe(), np.random.default_rng(seed))
         except RejectedSampleError:
             continue
         total = conditions.force.sum(axis=0)

@@ -1,4 +1,4 @@
-"""Random surface patches: where an organ is attached, pushed and seen (paper, section "Training data")."""
+"""Where an organ is attached and what loads it (paper, section "Training data")."""
 
 from __future__ import annotations
 
@@ -6,107 +6,97 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse.csgraph import dijkstra
 
 from softtissue_estimator.mesh import SurfaceMesh, vertex_areas
 from softtissue_training.errors import RejectedSampleError
+from softtissue_training.recipe import Recipe
+from softtissue_training.surface_patch import random_patch
+from softtissue_training.tetrahedralise import TetMesh, signed_volumes
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 ATTACHED_RADIUS_M = (0.025, 0.055)
 LOADED_RADIUS_M = (0.015, 0.025)
-FORCE_N = (0.0, 1.0)
+DENSITY_KG_M3 = 1060.0
+"""Mass density of liver tissue."""
+STANDARD_GRAVITY_M_S2 = 9.81
 _MINIMUM_PATCH_VERTICES = 4
 
 
 @dataclass(frozen=True)
 class BoundaryConditions:
-    """What holds an organ and what pushes it.
+    """What holds an organ and what loads it.
 
     Attributes
     ----------
     attached
         (n,) true for the surface vertices that do not move.
     force
-        (n, 3) newtons on each surface vertex.
+        (n, 3) newtons on each surface vertex, from the pushed patches.
+    gravity
+        (3,) m/s^2.
+    pressure
+        (f,) pascals on each surface triangle, against its outward normal.
     """
 
     attached: BoolArray
     force: FloatArray
+    gravity: FloatArray
+    pressure: FloatArray
 
 
-def random_boundary_conditions(surface: SurfaceMesh, rng: np.random.Generator) -> BoundaryConditions:
-    """Attach one random patch and push another in a random direction, with 0 to 1 N spread evenly over its area.
+def random_boundary_conditions(
+    surface: SurfaceMesh, recipe: Recipe, rng: np.random.Generator
+) -> BoundaryConditions:
+    """Attach one random patch, push others in random directions, and add gravity and pressure if the recipe has them.
+
+    Each force is spread evenly over the area of its patch.
 
     Raises
     ------
     RejectedSampleError
-        A patch has too few vertices, or the loaded patch is wholly attached.
+        A patch has too few vertices, or a loaded patch is wholly attached.
     """
     attached = random_patch(surface, rng.uniform(*ATTACHED_RADIUS_M), rng)
-    loaded = random_patch(surface, rng.uniform(*LOADED_RADIUS_M), rng)
-    magnitude = rng.uniform(*FORCE_N)
-    direction = rng.normal(size=3)
-    direction /= np.linalg.norm(direction)
     if attached.sum() < _MINIMUM_PATCH_VERTICES:
         raise RejectedSampleError("patch too small", f"attached patch has {attached.sum()} vertices")
-    if (loaded & ~attached).sum() < _MINIMUM_PATCH_VERTICES:
-        raise RejectedSampleError("load on attachment", "the loaded patch lies within the attached one")
-    weights = vertex_areas(surface) * loaded
-    return BoundaryConditions(attached, (weights / weights.sum())[:, None] * magnitude * direction)
-
-
-def random_patch(surface: SurfaceMesh, radius_m: float, rng: np.random.Generator) -> BoolArray:
-    """Return the vertices within a distance along the surface of a random point of it, (n,).
-
-    Centres are uniform in area, so that finely meshed regions are not favoured.
-    """
-    centre = random_vertex(surface, rng)
-    return surface_distance(surface, centre, limit_m=radius_m) <= radius_m
-
-
-def random_vertex(surface: SurfaceMesh, rng: np.random.Generator) -> int:
-    """Draw a vertex with a probability in proportion to the area around it."""
     areas = vertex_areas(surface)
-    return int(rng.choice(len(areas), p=areas / areas.sum()))
+    force = np.zeros_like(surface.vertices)
+    for _ in range(rng.integers(*recipe.forces, endpoint=True)):
+        weights = areas * _loaded_patch(surface, attached, rng)
+        force += (weights / weights.sum())[:, None] * rng.uniform(*recipe.force_n) * random_direction(rng)
+    gravity = np.zeros(3)
+    if recipe.gravity[1] > 0.0:
+        gravity = STANDARD_GRAVITY_M_S2 * rng.uniform(*recipe.gravity) * random_direction(rng)
+    pressure = np.zeros(len(surface.faces))
+    if recipe.pressure_pa[1] > 0.0:
+        pressed = _loaded_patch(surface, attached, rng)[surface.faces].all(axis=1)
+        pressure[pressed] = rng.uniform(*recipe.pressure_pa)
+    return BoundaryConditions(attached, force, gravity, pressure)
 
 
-def surface_distance(surface: SurfaceMesh, vertex: int, limit_m: float = np.inf) -> FloatArray:
-    """Return the length of the shortest path along edges from a vertex to every other, (n,) metres.
-
-    Vertices further than `limit_m` get infinity.
-    """
-    result: FloatArray = dijkstra(edge_graph(surface), directed=False, indices=[vertex], limit=limit_m)[0]
-    return result
+def _loaded_patch(surface: SurfaceMesh, attached: BoolArray, rng: np.random.Generator) -> BoolArray:
+    loaded = random_patch(surface, rng.uniform(*LOADED_RADIUS_M), rng)
+    if (loaded & ~attached).sum() < _MINIMUM_PATCH_VERTICES:
+        raise RejectedSampleError("load on attachment", "a loaded patch lies within the attached one")
+    return loaded
 
 
-def edge_graph(surface: SurfaceMesh) -> sparse.csr_matrix:
-    """Return the (n, n) graph of edges weighted by length in metres."""
-    ends = np.concatenate([surface.faces[:, [0, 1]], surface.faces[:, [1, 2]], surface.faces[:, [2, 0]]])
-    ends = np.unique(np.sort(ends, axis=1), axis=0)
-    lengths = np.linalg.norm(surface.vertices[ends[:, 0]] - surface.vertices[ends[:, 1]], axis=1)
-    count = len(surface.vertices)
-    return sparse.csr_matrix((lengths, (ends[:, 0], ends[:, 1])), shape=(count, count))
+def random_direction(rng: np.random.Generator) -> FloatArray:
+    """Return a unit vector, (3,), evenly distributed."""
+    direction = rng.normal(size=3)
+    return direction / np.linalg.norm(direction)
 
 
-def grow_patch(from_seed: FloatArray, faces: NDArray[np.int64], areas: FloatArray, share: float) -> BoolArray:
-    """Return the faces nearest to a seed that together cover a share of the surface, (m,).
+def weight(mesh: TetMesh, gravity: FloatArray) -> FloatArray:
+    """Return the weight of the tissue at each vertex, (n, 3) newtons: a quarter of each element's to each corner.
 
     Parameters
     ----------
-    from_seed
-        (n,) distance of each vertex from the seed along the surface, metres.
-    faces
-        (m, 3) vertex indices.
-    areas
-        (m,) m^2.
-    share
-        Wanted share of the area, 0 to 1.
+    gravity
+        (3,) m/s^2.
     """
-    order = np.argsort(from_seed[faces].mean(axis=1))
-    covered = np.cumsum(areas[order]) / areas.sum()
-    visible = np.zeros(len(faces), dtype=bool)
-    visible[order[: int(np.searchsorted(covered, share)) + 1]] = True
-    return visible
+    share = DENSITY_KG_M3 * np.abs(signed_volumes(mesh.vertices, mesh.tets)) / 4.0
+    mass = np.bincount(mesh.tets.ravel(), np.repeat(share, 4), minlength=len(mesh.vertices))
+    return mass[:, None] * gravity

@@ -1,84 +1,152 @@
-"""Many simulations at once, in worker processes; interrupted runs go on where they stopped."""
+"""Many simulations at once, on a Dask cluster; interrupted runs go on where they stopped."""
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
-from softtissue_training.archive import list_records, parse_sample, record_name, write_sample
-from softtissue_training.material import Law
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_training.archive import (
+    format_record,
+    list_records,
+    parse_record,
+    read_records,
+    record_name,
+    record_number,
+    write_record,
+)
+from softtissue_training.recipe import Recipe
 from softtissue_training.sample import simulate
 
-_Task = tuple[Path, int, int, Law, float]
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+_WAITING_PER_WORKER = 4
+"""Organs that wait for each worker: enough to keep it busy, few enough that a million organs need no memory."""
+
+
+@dataclass(frozen=True)
+class GenerationReport:
+    """What a folder of simulations holds and what it took.
+
+    Attributes
+    ----------
+    organs, simulations
+        Records in the folder, and load cases in them.
+    rejected
+        How many draws were rejected for which reason, over all records.
+    """
+
+    organs: int
+    simulations: int
+    rejected: dict[str, int]
 
 
 def generate(
     folder: Path,
-    count: int,
+    organs: int,
     seed: int,
+    recipe: Recipe | None = None,
     *,
-    law: Law = "neo_hookean",
-    workers: int = 1,
-    edge_length_m: float = 0.010,
+    client: Client | None = None,
     show_progress: bool = True,
-) -> dict[str, int]:
-    """Simulate the samples 0 to `count` - 1 that a folder lacks.
+) -> GenerationReport:
+    """Simulate those of the organs 0 to `organs` - 1 that a folder lacks.
+
+    Records travel back to this process, which alone writes them, so that workers need no common file system and a
+    worker that dies leaves nothing behind: its organs are given to another.
 
     Parameters
     ----------
     folder
         Where the records go; made if needed.
     seed
-        Seed of the data set; sample i depends on `seed` and i alone.
-    workers
-        Processes; 0 simulates in this one.
+        Seed of the data set; organ i depends on `seed`, i and the recipe alone.
+    recipe
+        What to simulate; the paper's if None.
+    client
+        Dask client; without one, this process simulates.
 
-    Returns
-    -------
-    dict
-        How many draws were rejected for which reason, over all samples of the folder.
+    Raises
+    ------
+    InvalidInputError
+        The folder holds simulations of another seed or recipe.
     """
+    recipe = recipe or Recipe()
     folder.mkdir(parents=True, exist_ok=True)
-    present = set(list_records(folder))
-    missing = [number for number in range(count) if record_name(number) not in present]
-    rejected: Counter[str] = Counter()
-    for name in present:
-        rejected.update(parse_sample((folder / name).read_bytes(), name)[1])
-    tasks: list[_Task] = [(folder, seed, number, law, edge_length_m) for number in missing]
+    present = {record_number(name) for name in list_records(folder)}
+    rejected = _take_stock(folder, seed, recipe)
+    missing = [number for number in range(organs) if number not in present]
+    results = _here(seed, missing, recipe) if client is None else _on(client, seed, missing, recipe)
     with tqdm(
-        total=count, initial=count - len(missing), unit="sim", disable=not show_progress, desc="simulating"
+        total=organs,
+        initial=organs - len(missing),
+        unit="organ",
+        disable=not show_progress,
+        desc="simulating",
     ) as bar:
-        for reasons in _run(tasks, workers):
+        for number, content, reasons in results:
+            write_record(folder, record_name(number), content)
             rejected.update(reasons)
             bar.update()
             bar.set_postfix(rejected=sum(rejected.values()), refresh=False)
-    return dict(rejected)
+    count = len(list_records(folder))
+    return GenerationReport(count, count * recipe.load_cases, dict(rejected))
 
 
-def _run(tasks: list[_Task], workers: int) -> Iterator[dict[str, int]]:
-    if workers == 0 or not tasks:
-        yield from map(_simulate_one, tasks)
-        return
-    # Spawned, not forked: Gmsh and MKL do not survive a fork. One thread each, or they fight over the cores.
-    for variable in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ[variable] = "1"
-    with multiprocessing.get_context("spawn").Pool(workers, initializer=_ignore_interrupt) as pool:
-        yield from pool.imap_unordered(_simulate_one, tasks)
-
-
-def _ignore_interrupt() -> None:
-    # Ctrl-C goes to the whole group; the parent ends the workers.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _simulate_one(task: _Task) -> dict[str, int]:
-    folder, seed, number, law, edge_length_m = task
-    sample, rejected = simulate(seed, number, law, edge_length_m=edge_length_m)
-    write_sample(folder, sample, rejected)
+def _take_stock(folder: Path, seed: int, recipe: Recipe) -> Counter[str]:
+    """Count the rejections of what a folder holds already, and refuse to mix data sets."""
+    rejected: Counter[str] = Counter()
+    names = list_records(folder)
+    for name, content in zip(names, read_records(folder, names), strict=True):
+        record = parse_record(content, str(folder / name))
+        if record.seed[0] != seed or record.recipe != recipe:
+            raise InvalidInputError(
+                f"{folder} must hold simulations of seed {seed} and the settings asked for, got {name} of seed "
+                f"{record.seed[0]} and {_differences(record.recipe, recipe) or 'the same settings'}"
+            )
+        rejected.update(record.rejected)
     return rejected
+
+
+def _differences(found: Recipe, wanted: Recipe) -> str:
+    ours, theirs = wanted.to_json(), found.to_json()
+    return ", ".join(f"{name} {theirs[name]}" for name in ours if ours[name] != theirs[name])
+
+
+_Result = tuple[int, bytes, dict[str, int]]
+
+
+def _here(seed: int, numbers: list[int], recipe: Recipe) -> Iterator[_Result]:
+    return (_simulate_one(seed, number, recipe) for number in numbers)
+
+
+def _on(client: Client, seed: int, numbers: list[int], recipe: Recipe) -> Iterator[_Result]:
+    """Yield results as they come, with only a few organs on their way at any time."""
+    from distributed import as_completed
+
+    waiting = iter(numbers)
+
+    def submit(wanted: int) -> list[Future]:
+        chosen = islice(waiting, wanted)
+        # Not pure: a key of its own for each call, so that nothing is taken from an earlier run's memory.
+        return [
+            client.submit(_simulate_one, seed, number, recipe, pure=False, retries=2) for number in chosen
+        ]
+
+    running = as_completed(submit(_WAITING_PER_WORKER * max(1, len(client.nthreads()))))
+    for future in running:
+        yield future.result()
+        for new in submit(1):
+            running.add(new)
+
+
+def _simulate_one(seed: int, number: int, recipe: Recipe) -> _Result:
+    record = simulate(seed, number, recipe)
+    return number, format_record(record), record.rejected

@@ -1,30 +1,36 @@
-"""Random organ-like closed surfaces (paper, section "Training data": a primitive, extruded and deformed).
+"""Random organ-like closed surfaces (paper, section "Training data": a primitive, extruded and deformed several times).
 
-A sphere is turned into a random rounded box, grows lobes and dents, and is then tapered, bent, twisted and pushed about
-by a smooth random field. Every step is a smooth map, so that the surface stays closed and of genus 0; what folds over
-itself is found when it is filled with tetrahedra.
+A sphere becomes a random rounded box, which is extruded, tapered, bent, twisted and pushed by a smooth random field.
+Every step moves the vertices of one sphere, so that the surface stays closed and of genus 0; that it does not cut
+itself is checked at the end.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
-import igl
+import igl.predicates
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.mesh import SurfaceMesh
+from softtissue_estimator.mesh import SurfaceMesh, enclosed_volume
+from softtissue_training.deformations import bend, extrude, push, superellipsoid, taper, twist
+from softtissue_training.resampling import resample
 
 FloatArray = NDArray[np.float64]
+Shapes = Literal["random", "liver", "mixed"]
+SHAPES: tuple[Shapes, ...] = ("random", "liver", "mixed")
 
 CUBE_SIDE_M = 0.30
 """Side of the cube that a training organ must lie in (paper, section "Grid")."""
 VOLUME_RANGE_M3 = (0.2e-3, 3.0e-3)
 """Organs from a kidney to a large liver; 0.2 to 3 litres."""
 _SPHERE_SUBDIVISIONS = 5
+_PUSHES = 6
 
 
 @dataclass(frozen=True)
@@ -36,11 +42,13 @@ class ShapeFamily:
     half_axes
         Lowest and highest half-axis along x, y and z.
     roundness
-        Exponent q of the rounded box |x|^q + |y|^q + |z|^q = 1; 2 is an ellipsoid.
-    lobes
-        Lowest and highest number of lobes and dents.
-    lobe_height
-        Lowest and highest relative height; negative heights are dents.
+        Exponent of the rounded box (`superellipsoid`).
+    extrusions
+        Lowest and highest number of extrusions and dents.
+    extrusion_height
+        Lowest and highest height relative to the half-axis in that direction; negative heights are dents.
+    extrusion_width
+        Lowest and highest width relative to the mean half-axis.
     taper
         Relative loss of cross-section from the middle to the thin end.
     bend
@@ -49,30 +57,41 @@ class ShapeFamily:
 
     half_axes: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
     roundness: tuple[float, float]
-    lobes: tuple[int, int]
-    lobe_height: tuple[float, float]
+    extrusions: tuple[int, int]
+    extrusion_height: tuple[float, float]
+    extrusion_width: tuple[float, float]
     taper: tuple[float, float]
     bend: tuple[float, float]
 
 
-FAMILIES = (
-    ShapeFamily(((0.030, 0.090),) * 3, (2.0, 3.0), (2, 7), (-0.25, 0.45), (0.0, 0.35), (0.0, 0.7)),
-    # Liver-like: wide, flattened, thick on one side and thin on the other, hollow below.
+RANDOM_FAMILIES = (
+    # Blobs with lobes and dents.
     ShapeFamily(
-        ((0.070, 0.100), (0.050, 0.080), (0.028, 0.048)),
-        (2.0, 3.0),
-        (1, 4),
-        (-0.2, 0.35),
-        (0.25, 0.65),
-        (0.3, 1.2),
+        ((0.022, 0.095),) * 3, (2.0, 3.0), (2, 6), (-0.30, 0.50), (0.25, 0.60), (0.0, 0.35), (0.0, 0.7)
     ),
-    # Few strong lobes: the paper's repeated extrusion.
-    ShapeFamily(((0.030, 0.065),) * 3, (2.0, 2.5), (2, 4), (0.3, 0.9), (0.0, 0.3), (0.0, 0.6)),
+    # Small bodies with few long extrusions.
+    ShapeFamily(
+        ((0.030, 0.065),) * 3, (2.0, 2.5), (2, 4), (0.35, 1.10), (0.30, 0.60), (0.0, 0.30), (0.0, 0.6)
+    ),
 )
-_FAMILY_SHARES = (0.5, 0.3, 0.2)
+LIVER_FAMILY = ShapeFamily(
+    # Wide and flat, thick on the right and thin on the left, hollow below.
+    ((0.080, 0.115), (0.060, 0.090), (0.035, 0.055)),
+    (2.0, 3.0),
+    (2, 5),
+    (-0.30, 0.35),
+    (0.25, 0.60),
+    (0.30, 0.65),
+    (0.3, 1.2),
+)
+_FIRST_RANDOM_SHARE = 0.7
+_LIVER_SHARE = 0.3
+"""Share of livers where `shapes` is mixed."""
 
 
-def random_organ_surface(rng: np.random.Generator, edge_length_m: float = 0.010) -> SurfaceMesh:
+def random_organ_surface(
+    rng: np.random.Generator, edge_length_m: float = 0.010, shapes: Shapes = "random"
+) -> SurfaceMesh:
     """Draw an organ-like closed surface, its bounding box centred on the origin.
 
     Parameters
@@ -81,131 +100,70 @@ def random_organ_surface(rng: np.random.Generator, edge_length_m: float = 0.010)
         Source of all randomness.
     edge_length_m
         Mean edge length of the triangles, metres.
+    shapes
+        Any organ, livers, or three in ten livers.
 
     Returns
     -------
     SurfaceMesh
-        Closed, outward winding, metres.
+        Closed, of genus 0, free of self-intersections, outward winding, metres.
 
     Raises
     ------
     MeshError
-        The shape drawn does not fit the cube or the range of volumes.
+        The shape drawn does not fit the cube or the range of volumes, or it cuts itself.
     """
-    family = FAMILIES[rng.choice(len(FAMILIES), p=_FAMILY_SHARES)]
+    family = _draw_family(rng, shapes)
     sphere = trimesh.creation.icosphere(subdivisions=_SPHERE_SUBDIVISIONS, radius=1.0)
-    directions = np.asarray(sphere.vertices, dtype=np.float64)
+    faces = np.asarray(sphere.faces, dtype=np.int64)
     half_axes = np.array([rng.uniform(*limits) for limits in family.half_axes])
 
-    points = directions * _radius(directions, family, rng)[:, None] * half_axes
-    points = _taper(points, half_axes[0], rng.uniform(*family.taper))
-    points = _bend(points, half_axes[0], rng.uniform(*family.bend))
-    points = _twist(points, half_axes[0], rng.uniform(-0.6, 0.6))
-    points = points + _smooth_field(points, rng)
+    directions = np.asarray(sphere.vertices, dtype=np.float64)
+    points = superellipsoid(directions, half_axes, rng.uniform(*family.roundness))
+    for _ in range(rng.integers(family.extrusions[0], family.extrusions[1], endpoint=True)):
+        centre = int(np.argmax(directions @ rng.normal(size=3)))
+        # Relative to the organ's reach in that direction, so that flat organs stay flat.
+        height = rng.uniform(*family.extrusion_height) * float(np.abs(directions[centre]) @ half_axes)
+        width = rng.uniform(*family.extrusion_width) * half_axes.mean()
+        points = extrude(points, faces, centre, height, width)
+    points = taper(points, half_axes[0], rng.uniform(*family.taper))
+    points = bend(points, half_axes[0], rng.uniform(*family.bend))
+    points = twist(points, half_axes[0], rng.uniform(-0.6, 0.6))
+    points = push(
+        points,
+        points[rng.integers(len(points), size=_PUSHES)],
+        rng.uniform(0.025, 0.060, size=_PUSHES),
+        rng.normal(scale=0.006, size=(_PUSHES, 3)),
+    )
     points = Rotation.random(rng=rng).apply(points)
-    points = points - 0.5 * (points.min(axis=0) + points.max(axis=0))
 
-    fine = SurfaceMesh(points, np.asarray(sphere.faces, dtype=np.int64))
+    fine = _centred(SurfaceMesh(points, faces))
     _check_size(fine)
-    return resample(fine, edge_length_m)
+    # Once more: triangles cut corners.
+    surface = _centred(resample(fine, edge_length_m))
+    _check_size(surface)
+    check_self_intersection(surface)
+    return surface
 
 
-def resample(mesh: SurfaceMesh, edge_length_m: float) -> SurfaceMesh:
-    """Return the surface with triangles of about one size, by collapsing the shortest edges and relaxing.
-
-    Parameters
-    ----------
-    mesh
-        Closed surface with triangles much smaller than `edge_length_m`.
-
-    Raises
-    ------
-    MeshError
-        The edges could not be collapsed that far.
-    """
-    area = float(igl.doublearea(mesh.vertices, mesh.faces).sum()) / 2.0
-    wanted_faces = int(area / (np.sqrt(3.0) / 4.0 * edge_length_m**2))
-    if wanted_faces >= len(mesh.faces):
-        raise MeshError(
-            f"resampling needs a finer surface: {wanted_faces} faces wanted, got {len(mesh.faces)}"
-        )
-    vertices, faces = igl.decimate(mesh.vertices, mesh.faces, wanted_faces)[:2]
-    coarse = trimesh.Trimesh(vertices, faces, process=False)
-    if not coarse.is_watertight or coarse.euler_number != 2:
-        raise MeshError(
-            f"resampled surface must be closed and of genus 0, got Euler number {coarse.euler_number}"
-        )
-    return SurfaceMesh(_relaxed(coarse, mesh), np.asarray(coarse.faces, dtype=np.int64))
+def check_self_intersection(surface: SurfaceMesh) -> None:
+    """Raise MeshError where triangles that share no vertex, or more than they should, cut each other."""
+    found, pairs, _ = igl.predicates.find_self_intersections(surface.vertices, surface.faces)
+    if found:
+        raise MeshError(f"organ surface must not cut itself, got {len(pairs)} pairs of triangles that do")
 
 
-def _relaxed(coarse: trimesh.Trimesh, fine: SurfaceMesh, rounds: int = 4) -> FloatArray:
-    """Move vertices towards the mean of their neighbours and back onto the fine surface, (n, 3)."""
-    averaging = trimesh.smoothing.laplacian_calculation(coarse, equal_weight=True)
-    points = np.asarray(coarse.vertices, dtype=np.float64)
-    for _ in range(rounds):
-        moved = 0.5 * points + 0.5 * (averaging @ points)
-        points = np.asarray(
-            igl.point_mesh_squared_distance(moved, fine.vertices, fine.faces)[2], dtype=np.float64
-        )
-    return points
+def _draw_family(rng: np.random.Generator, shapes: Shapes) -> ShapeFamily:
+    # Two numbers are drawn whatever the choice, so that random organs are the same in both cases.
+    kind, which = rng.uniform(size=2)
+    if shapes == "liver" or (shapes == "mixed" and kind < _LIVER_SHARE):
+        return LIVER_FAMILY
+    return RANDOM_FAMILIES[0 if which < _FIRST_RANDOM_SHARE else 1]
 
 
-def _radius(directions: FloatArray, family: ShapeFamily, rng: np.random.Generator) -> FloatArray:
-    """Radius of a rounded box with lobes and dents in each direction, (n,), relative to the half-axes."""
-    q = rng.uniform(*family.roundness)
-    radius: FloatArray = np.sum(np.abs(directions) ** q, axis=1) ** (-1.0 / q)
-    for _ in range(rng.integers(family.lobes[0], family.lobes[1] + 1)):
-        towards = rng.normal(size=3)
-        towards /= np.linalg.norm(towards)
-        width = rng.uniform(0.25, 0.7)
-        height = rng.uniform(*family.lobe_height)
-        radius = radius * (1.0 + height * np.exp(-(1.0 - directions @ towards) / width**2))
-    return radius
-
-
-def _taper(points: FloatArray, half_length: float, loss: float) -> FloatArray:
-    """Shrink the cross-section smoothly along x, down to `1 - loss` at the thin end."""
-    scale = 1.0 - loss * 0.5 * (1.0 + np.tanh(points[:, 0] / half_length))
-    return points * np.stack([np.ones_like(scale), 0.5 * (1.0 + scale), scale], axis=1)
-
-
-def _bend(points: FloatArray, half_length: float, angle: float) -> FloatArray:
-    """Bend the x axis into an arc in the x-z plane with `angle` between its ends."""
-    if angle < 1e-3:
-        return points
-    radius = 2.0 * half_length / angle
-    # Beyond the half-length (lobes) the arc goes on straight, so that thick organs do not fold.
-    phi = np.clip(points[:, 0] / radius, -0.6 * angle, 0.6 * angle)
-    rest = points[:, 0] - phi * radius
-    arm = radius - points[:, 2]
-    return np.stack(
-        [
-            arm * np.sin(phi) + rest * np.cos(phi),
-            points[:, 1],
-            radius - arm * np.cos(phi) + rest * np.sin(phi),
-        ],
-        axis=1,
-    )
-
-
-def _twist(points: FloatArray, half_length: float, angle: float) -> FloatArray:
-    """Turn each cross-section about x, by `angle` in all from the middle to an end."""
-    phi = angle * np.tanh(points[:, 0] / half_length)
-    cos, sin = np.cos(phi), np.sin(phi)
-    return np.stack(
-        [points[:, 0], cos * points[:, 1] - sin * points[:, 2], sin * points[:, 1] + cos * points[:, 2]],
-        axis=1,
-    )
-
-
-def _smooth_field(points: FloatArray, rng: np.random.Generator, centres: int = 6) -> FloatArray:
-    """Return a sum of Gaussian pushes at random surface points, (n, 3) metres."""
-    field = np.zeros_like(points)
-    for centre in points[rng.integers(len(points), size=centres)]:
-        width = rng.uniform(0.025, 0.060)
-        push = rng.normal(scale=0.006, size=3)
-        field += push * np.exp(-np.sum((points - centre) ** 2, axis=1) / (2.0 * width**2))[:, None]
-    return field
+def _centred(mesh: SurfaceMesh) -> SurfaceMesh:
+    middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+    return SurfaceMesh(mesh.vertices - middle, mesh.faces)
 
 
 def _check_size(mesh: SurfaceMesh) -> None:
@@ -214,7 +172,7 @@ def _check_size(mesh: SurfaceMesh) -> None:
         raise MeshError(
             f"organ must lie within {CUBE_SIDE_M / 2.0:.3f} m of the cube's centre, got {reach:.3f} m"
         )
-    volume = float(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume)
+    volume = enclosed_volume(mesh)
     low, high = VOLUME_RANGE_M3
     if not low <= volume <= high:
         raise MeshError(

@@ -1,8 +1,10 @@
-"""One simulated organ: shape, attachment, load and the displacement that they cause."""
+"""Simulated organs: shape, attachment, load and the displacement that they cause."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
@@ -10,20 +12,22 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.mesh import SurfaceMesh
-from softtissue_training.boundary_conditions import random_boundary_conditions
+from softtissue_training.boundary_conditions import random_boundary_conditions, weight
 from softtissue_training.errors import RejectedSampleError, SolverDivergedError
-from softtissue_training.material import Law, Material
+from softtissue_training.material import Material
 from softtissue_training.organ_shape import CUBE_SIDE_M, random_organ_surface
+from softtissue_training.recipe import Recipe
 from softtissue_training.solver import solve
 from softtissue_training.tetrahedralise import TetMesh, tetrahedralise
 
 MAXIMUM_DISPLACEMENT_M = 0.10
 """Simulations that move any point further are discarded (paper, section "Training data")."""
+_DRAWS_PER_CASE = 20
 
 
 @dataclass(frozen=True)
 class Sample:
-    """A simulation as it is stored.
+    """One simulation: an organ under one load.
 
     Attributes
     ----------
@@ -36,15 +40,21 @@ class Sample:
     attached
         (a,) int32, indices of the attached vertices.
     force
-        (n, 3) float32 newtons.
+        (n, 3) float32 newtons, of the pushed patches.
     displacement
         (n, 3) float32 metres, intraoperative minus preoperative.
     seed
-        Entropy that the sample was drawn from: the data set's seed and the sample's number.
+        Entropy that the organ was drawn from: the data set's seed and the organ's number.
     material
         What it is made of.
-    versions
-        Packages that made it.
+    case
+        Number of the load case, from 0.
+    gravity
+        (3,) float32 m/s^2.
+    pressure
+        (f,) float32 pascals on each boundary triangle, following the surface.
+    residual
+        Norm of the unbalanced force relative to the larger of load and internal forces.
     """
 
     vertices: NDArray[np.float32]
@@ -55,64 +65,127 @@ class Sample:
     displacement: NDArray[np.float32]
     seed: tuple[int, int]
     material: Material
-    versions: dict[str, str]
+    case: int
+    gravity: NDArray[np.float32]
+    pressure: NDArray[np.float32]
+    residual: float
 
     @property
     def surface(self) -> SurfaceMesh:
         """Preoperative surface; its vertex i is vertex i of the tetrahedra."""
-        count = int(self.faces.max()) + 1
-        return SurfaceMesh(self.vertices[:count].astype(np.float64), self.faces.astype(np.int64))
+        return SurfaceMesh(
+            self.vertices[: self.surface_count].astype(np.float64), self.faces.astype(np.int64)
+        )
+
+    @property
+    def surface_count(self) -> int:
+        """How many of the vertices are the surface's."""
+        return int(self.faces.max()) + 1
 
     @property
     def attached_mask(self) -> NDArray[np.bool_]:
         """(surface vertices,) true where the surface does not move."""
-        mask = np.zeros(int(self.faces.max()) + 1, dtype=bool)
+        mask = np.zeros(self.surface_count, dtype=bool)
         mask[self.attached] = True
         return mask
 
 
-def simulate(
-    seed: int, number: int, law: Law = "neo_hookean", *, edge_length_m: float = 0.010
-) -> tuple[Sample, dict[str, int]]:
-    """Draw organs until one gives a usable simulation.
+@dataclass(frozen=True)
+class Record:
+    """What is stored of one organ.
+
+    Attributes
+    ----------
+    simulations
+        One for each load case, all of one mesh.
+    recipe
+        What it was drawn with.
+    rejected
+        How many draws were rejected for which reason before these.
+    versions
+        Packages that made it.
+    """
+
+    simulations: tuple[Sample, ...]
+    recipe: Recipe
+    rejected: dict[str, int]
+    versions: dict[str, str]
+
+    @property
+    def seed(self) -> tuple[int, int]:
+        """The data set's seed and the organ's number."""
+        return self.simulations[0].seed
+
+
+def simulate(seed: int, number: int, recipe: Recipe) -> Record:
+    """Draw organs until one gives usable simulations.
 
     Parameters
     ----------
     seed
         Seed of the data set.
     number
-        Number of the sample in it; the same pair gives the same sample.
-    edge_length_m
-        Element size, metres.
-
-    Returns
-    -------
-    Sample
-        The first usable simulation.
-    dict
-        How many draws were rejected for which reason.
+        Number of the organ in it; the same pair gives the same organ, and each load case is the same however many
+        there are.
     """
-    rng = np.random.default_rng([seed, number])
-    rejected: dict[str, int] = {}
+    organs = np.random.default_rng([seed, number, 0])
+    loads = [np.random.default_rng([seed, number, 1 + case]) for case in range(recipe.load_cases)]
+    rejected: Counter[str] = Counter()
     while True:
         try:
-            return _draw(rng, (seed, number), Material(law), edge_length_m), rejected
+            mesh = _random_mesh(organs, recipe)
+            samples = [
+                _random_case(mesh, recipe, rng, (seed, number), case, rejected)
+                for case, rng in enumerate(loads)
+            ]
         except RejectedSampleError as error:
-            rejected[error.reason] = rejected.get(error.reason, 0) + 1
+            rejected[error.reason] += 1
+        else:
+            return Record(tuple(samples), recipe, dict(rejected), versions())
 
 
-def _draw(
-    rng: np.random.Generator, seed: tuple[int, int], material: Material, edge_length_m: float
-) -> Sample:
-    mesh = _random_mesh(rng, edge_length_m)
-    count = len(mesh.surface.vertices)
-    conditions = random_boundary_conditions(mesh.surface, rng)
-    fixed = np.zeros(len(mesh.vertices), dtype=bool)
-    fixed[:count] = conditions.attached
-    force = np.zeros_like(mesh.vertices)
-    force[:count] = conditions.force
+def _random_mesh(rng: np.random.Generator, recipe: Recipe) -> TetMesh:
     try:
-        solution = solve(mesh.vertices, mesh.tets, fixed, force, material)
+        surface = random_organ_surface(rng, recipe.element_size_m, recipe.shapes)
+    except MeshError as error:
+        raise RejectedSampleError("shape", str(error)) from error
+    try:
+        return tetrahedralise(surface, recipe.element_size_m)
+    except MeshError as error:
+        raise RejectedSampleError("mesh", str(error)) from error
+
+
+def _random_case(
+    mesh: TetMesh,
+    recipe: Recipe,
+    rng: np.random.Generator,
+    seed: tuple[int, int],
+    case: int,
+    rejected: Counter[str],
+) -> Sample:
+    """Attach and load an organ until the simulation is usable; reject the organ if that takes too many draws."""
+    for _ in range(_DRAWS_PER_CASE):
+        try:
+            return _simulate_case(mesh, recipe, rng, seed, case)
+        except RejectedSampleError as error:
+            rejected[error.reason] += 1
+    raise RejectedSampleError("no usable load", f"{_DRAWS_PER_CASE} loads were rejected")
+
+
+def _simulate_case(
+    mesh: TetMesh, recipe: Recipe, rng: np.random.Generator, seed: tuple[int, int], case: int
+) -> Sample:
+    material = recipe.draw_material(rng)
+    surface = mesh.surface
+    conditions = random_boundary_conditions(surface, recipe, rng)
+    on_surface = len(surface.vertices)
+    fixed = np.zeros(len(mesh.vertices), dtype=bool)
+    fixed[:on_surface] = conditions.attached
+    force = np.zeros_like(mesh.vertices)
+    force[:on_surface] = conditions.force
+    load = force + weight(mesh, conditions.gravity)
+    try:
+        solution = solve(mesh.vertices, mesh.tets, fixed, load, material)
     except SolverDivergedError as error:
         raise RejectedSampleError("not converged", str(error)) from error
     _check(mesh, solution.displacement)
@@ -125,19 +198,11 @@ def _draw(
         displacement=solution.displacement.astype(np.float32),
         seed=seed,
         material=material,
-        versions=versions(),
+        case=case,
+        gravity=conditions.gravity.astype(np.float32),
+        pressure=conditions.pressure.astype(np.float32),
+        residual=solution.residual,
     )
-
-
-def _random_mesh(rng: np.random.Generator, edge_length_m: float) -> TetMesh:
-    try:
-        surface = random_organ_surface(rng, edge_length_m)
-    except MeshError as error:
-        raise RejectedSampleError("shape", str(error)) from error
-    try:
-        return tetrahedralise(surface, edge_length_m)
-    except MeshError as error:
-        raise RejectedSampleError("mesh", str(error)) from error
 
 
 def _check(mesh: TetMesh, displacement: NDArray[np.float64]) -> None:
@@ -154,12 +219,13 @@ def _check(mesh: TetMesh, displacement: NDArray[np.float64]) -> None:
         )
 
 
+@cache
 def versions() -> dict[str, str]:
     """Return the versions of what shapes a simulation."""
     found = {}
-    for package in ("softtissue-training", "gmsh", "libigl", "numpy", "scipy"):
+    for package in ("softtissue-training", "gmsh", "libigl", "numpy", "pypardiso", "scipy"):
         try:
             found[package] = version(package)
         except PackageNotFoundError:
-            found[package] = "source tree"
+            found[package] = "not installed"
     return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import multiprocessing
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -12,7 +11,7 @@ from tqdm import tqdm
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.network_input import NetworkSpec
-from softtissue_training.archive import digest, list_records, parse_sample, read_records
+from softtissue_training.archive import content_hash, digest, list_records, parse_record, read_records
 from softtissue_training.dataset import PreparedSample, prepare
 from softtissue_training.training_config import TrainingConfig
 
@@ -53,9 +52,9 @@ class SimulationSet:
         )
         progress = tqdm(total=len(new), desc="voxelising", unit="sim", leave=False, disable=not new)
         with progress:
-            for name, checksum, number, sample in self._prepare_all(tasks):
+            for name, checksum, number, samples in self._prepare_all(tasks):
                 self._hashes[name] = checksum
-                self._add(number, sample)
+                self._add(number, samples)
                 progress.update()
         if not self.training or not self.held_out:
             raise InvalidInputError(
@@ -67,13 +66,13 @@ class SimulationSet:
         """Return a hash of all records in use."""
         return digest(self._hashes)
 
-    def _add(self, number: int, sample: PreparedSample) -> None:
+    def _add(self, number: int, samples: list[PreparedSample]) -> None:
         if number % self._config.validation_every != 0:
-            self.training.append(sample)
+            self.training.extend(samples)
         elif len(self.held_out) < self._config.validation_samples:
-            self.held_out.append(sample)
+            self.held_out.extend(samples)
 
-    def _prepare_all(self, tasks: Iterable[_Task]) -> Iterator[tuple[str, str, int, PreparedSample]]:
+    def _prepare_all(self, tasks: Iterable[_Task]) -> Iterator[tuple[str, str, int, list[PreparedSample]]]:
         if self._workers == 1:
             yield from map(_prepare_one, tasks)
             return
@@ -82,7 +81,12 @@ class SimulationSet:
             yield from pool.map(_prepare_one, tasks, chunksize=8)
 
 
-def _prepare_one(task: _Task) -> tuple[str, str, int, PreparedSample]:
+def _prepare_one(task: _Task) -> tuple[str, str, int, list[PreparedSample]]:
     name, content, spec = task
-    sample = parse_sample(content, name)[0]
-    return name, hashlib.sha256(content).hexdigest(), sample.seed[1], prepare(sample, spec)
+    record = parse_record(content, name)
+    return (
+        name,
+        content_hash(content, name),
+        record.seed[1],
+        [prepare(sample, spec) for sample in record.simulations],
+    )

@@ -6,48 +6,54 @@ import argparse
 from pathlib import Path
 
 from softtissue_training.cli.arguments import Commands, positive
-from softtissue_training.material import LAWS
+from softtissue_training.cli.recipe_options import add_recipe_options, recipe_from
 
 
 def add(commands: Commands) -> None:
     """Add the command."""
     generate = commands.add_parser(
         "generate",
-        help="simulate random organs",
-        description="Simulate random organs, each attached at one patch and pushed at another. About one second a "
-        "sample and core, 60 kB each. The same command again adds what is missing.",
+        help="simulate deformed organs",
+        description="Simulate random organs, each attached at one patch and pushed at another: under a second an organ "
+        "and core, 60 kB each. The same command again adds what is missing, so that nothing is lost when it is "
+        "stopped or killed. Without options, the organs and loads are those of the paper.",
+        epilog="Then:  softtissue-train digest DIR  to compare with another's data;  softtissue-train train --data DIR",
     )
-    generate.add_argument("--count", type=positive, required=True, metavar="N", help="samples in all")
     generate.add_argument(
-        "--seed", type=int, required=True, metavar="S", help="the same seed gives the same samples"
+        "--count", type=positive, required=True, metavar="N", help="simulations in all, over all load cases"
+    )
+    generate.add_argument(
+        "--seed", type=int, required=True, metavar="S", help="the same seed gives the same simulations"
     )
     generate.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the records")
-    generate.add_argument("--workers", type=positive, default=1, metavar="N", help="processes (default: 1)")
-    generate.add_argument(
-        "--material", choices=LAWS, default="neo_hookean", help="law at large strain (default: neo_hookean)"
+    where = generate.add_mutually_exclusive_group()
+    where.add_argument(
+        "--workers", type=positive, default=1, metavar="N", help="processes on this machine (default: 1)"
     )
-    generate.add_argument(
-        "--element-size",
-        type=float,
-        default=10.0,
-        metavar="MM",
-        help="edge length of the elements (default: 10)",
+    where.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="address of a running Dask scheduler, to use a cluster instead, such as tcp://10.0.0.1:8786",
     )
+    add_recipe_options(generate)
     generate.set_defaults(run=_generate)
 
 
 def _generate(options: argparse.Namespace) -> int:
+    from softtissue_estimator.errors import InvalidInputError
+    from softtissue_training.cluster import connect
     from softtissue_training.generate import generate
 
-    rejected = generate(
-        options.out,
-        options.count,
-        options.seed,
-        law=options.material,
-        workers=options.workers,
-        edge_length_m=1e-3 * options.element_size,
-    )
-    print(f"{options.count} simulations in {options.out}")
-    for reason, times in sorted(rejected.items()):
+    recipe = recipe_from(options)
+    organs, rest = divmod(options.count, recipe.load_cases)
+    if rest:
+        raise InvalidInputError(
+            f"--count must be a multiple of --load-cases, got {options.count} and {recipe.load_cases}"
+        )
+    with connect(options.workers, options.scheduler) as client:
+        print(f"dashboard: {client.dashboard_link}", flush=True)
+        report = generate(options.out, organs, options.seed, recipe, client=client)
+    print(f"{report.simulations} simulations of {report.organs} organs in {options.out}")
+    for reason, times in sorted(report.rejected.items()):
         print(f"  {times} draws rejected: {reason}")
     return 0

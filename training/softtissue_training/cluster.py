@@ -1,0 +1,52 @@
+"""Where simulations are computed: processes of this machine, or a Dask cluster that runs already."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from distributed import Client, LocalCluster
+
+from softtissue_estimator.errors import InvalidInputError
+
+_ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+_CONNECT_S = 20
+
+
+@contextmanager
+def connect(workers: int, scheduler: str | None = None) -> Iterator[Client]:
+    """Yield a client of worker processes; those of this machine end with the context.
+
+    Parameters
+    ----------
+    workers
+        Processes to start on this machine, when no scheduler is named.
+    scheduler
+        Address of a Dask scheduler, such as "tcp://10.0.0.1:8786" or one that dask-jobqueue started.
+
+    Raises
+    ------
+    InvalidInputError
+        No scheduler answers at the address.
+    """
+    if scheduler is not None:
+        try:
+            client = Client(scheduler, timeout=_CONNECT_S)
+        except (OSError, ValueError) as error:
+            raise InvalidInputError(
+                f"--scheduler must be the address of a running Dask scheduler, got {scheduler}: {error}"
+            ) from error
+        with client:
+            yield client
+        return
+    # Several threads in each process would fight over the cores; worker processes inherit this.
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    with (
+        # Spawned processes with one thread each: Gmsh and MKL can do neither forks nor threads.
+        LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=40
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client

@@ -1,0 +1,67 @@
+"""Patches of a surface: what lies within a distance along it, or covers a share of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
+
+from softtissue_estimator.mesh import SurfaceMesh, vertex_areas
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+def random_patch(surface: SurfaceMesh, radius_m: float, rng: np.random.Generator) -> BoolArray:
+    """Return the vertices within a distance along the surface of a random point of it, (n,).
+
+    Centres are uniform in area, so that finely meshed regions are not favoured.
+    """
+    centre = random_vertex(surface, rng)
+    return surface_distance(surface, centre, limit_m=radius_m) <= radius_m
+
+
+def random_vertex(surface: SurfaceMesh, rng: np.random.Generator) -> int:
+    """Draw a vertex with a probability in proportion to the area around it."""
+    areas = vertex_areas(surface)
+    return int(rng.choice(len(areas), p=areas / areas.sum()))
+
+
+def surface_distance(surface: SurfaceMesh, vertex: int, limit_m: float = np.inf) -> FloatArray:
+    """Return the length of the shortest path along edges from a vertex to every other, (n,) metres.
+
+    Vertices further than `limit_m` get infinity.
+    """
+    result: FloatArray = dijkstra(edge_graph(surface), directed=False, indices=[vertex], limit=limit_m)[0]
+    return result
+
+
+def edge_graph(surface: SurfaceMesh) -> sparse.csr_matrix:
+    """Return the (n, n) graph of edges weighted by length in metres."""
+    ends = np.concatenate([surface.faces[:, [0, 1]], surface.faces[:, [1, 2]], surface.faces[:, [2, 0]]])
+    ends = np.unique(np.sort(ends, axis=1), axis=0)
+    lengths = np.linalg.norm(surface.vertices[ends[:, 0]] - surface.vertices[ends[:, 1]], axis=1)
+    count = len(surface.vertices)
+    return sparse.csr_matrix((lengths, (ends[:, 0], ends[:, 1])), shape=(count, count))
+
+
+def grow_patch(from_seed: FloatArray, faces: NDArray[np.int64], areas: FloatArray, share: float) -> BoolArray:
+    """Return the faces nearest to a seed that together cover a share of the surface, (m,).
+
+    Parameters
+    ----------
+    from_seed
+        (n,) distance of each vertex from the seed along the surface, metres.
+    faces
+        (m, 3) vertex indices.
+    areas
+        (m,) m^2.
+    share
+        Wanted share of the area, 0 to 1.
+    """
+    order = np.argsort(from_seed[faces].mean(axis=1))
+    covered = np.cumsum(areas[order]) / areas.sum()
+    visible = np.zeros(len(faces), dtype=bool)
+    visible[order[: int(np.searchsorted(covered, share)) + 1]] = True
+    return visible
