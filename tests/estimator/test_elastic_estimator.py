@@ -34,7 +34,7 @@ def bent(points):
 class Truth:
     """A non-linear simulation: neo-Hookean, Gmsh mesh of 10 mm, one pushed and one attached patch.
 
-    Number 27 of the data set of seed 1: `softtissue_training.sample.simulate(1, 27)`.
+    One of the kind that `softtissue-train generate` makes, kept so that a change of the generator changes no test here.
     """
 
     def __init__(self):

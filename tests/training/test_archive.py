@@ -1,21 +1,25 @@
 import dataclasses
 
+import meshio
 import numpy as np
 import pytest
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.mesh import enclosed_volume
 from softtissue_training.archive import (
-    content_hash,
     digest,
-    format_record,
+    digest_of,
     list_records,
     pack,
-    parse_record,
     read_records,
     record_name,
     write_record,
 )
-from softtissue_training.sample import simulate
+from softtissue_training.compact import STEP_M
+from softtissue_training.record_format import content_hash, format_compact, format_record, parse_record
+from softtissue_training.simulate import simulate
+from softtissue_training.tetrahedralise import signed_volumes
+from softtissue_training.vtu import write_vtu
 
 from .conftest import COARSE
 
@@ -30,9 +34,17 @@ def _same(ours, theirs):
             assert mine == other
 
 
-def test_record_keeps_everything(tmp_path):
-    recipe = dataclasses.replace(COARSE, load_cases=2, gravity=(0.01, 0.02), poisson_ratio=(0.3, 0.4))
-    record = simulate(3, 2, recipe)
+RICH = dataclasses.replace(COARSE, load_cases=2, gravity=(0.01, 0.02), poisson_ratio=(0.3, 0.4))
+
+
+@pytest.fixture(scope="module")
+def rich():
+    """One organ with two load cases."""
+    return simulate(3, 2, RICH)
+
+
+def test_record_keeps_everything(rich, tmp_path):
+    record, recipe = rich, RICH
     write_record(tmp_path, record_name(2), format_record(record))
     assert [file.name for file in tmp_path.iterdir()] == ["organ_000002.npz"]
     restored = parse_record((tmp_path / "organ_000002.npz").read_bytes(), "it")
@@ -94,3 +106,81 @@ def test_content_hash_sees_every_array_and_the_recipe_but_not_versions(records):
 def test_digest_depends_on_content_and_not_on_order():
     assert digest({"a": "1", "b": "2"}) == digest({"b": "2", "a": "1"})
     assert digest({"a": "1", "b": "2"}) != digest({"a": "1", "b": "3"})
+
+
+def _triangles(sample):
+    return {tuple(sorted(triangle)) for triangle in sample.faces.tolist()}
+
+
+def test_compact_record_keeps_everything_but_the_last_micrometres(rich):
+    pressed = [
+        dataclasses.replace(
+            sample, pressure=np.where(np.arange(len(sample.faces)) < 5, np.float32(12.5), np.float32(0.0))
+        )
+        for sample in rich.simulations
+    ]
+    record = dataclasses.replace(rich, simulations=tuple(pressed))
+    content = format_compact(record)
+    assert len(content) < 0.5 * len(format_record(record))
+    restored = parse_record(content, "it")
+    assert (restored.recipe, restored.rejected, restored.versions) == (
+        record.recipe,
+        record.rejected,
+        record.versions,
+    )
+    for ours, theirs in zip(record.simulations, restored.simulations, strict=True):
+        assert (ours.seed, ours.case, ours.material, ours.residual) == (
+            theirs.seed,
+            theirs.case,
+            theirs.material,
+            theirs.residual,
+        )
+        np.testing.assert_allclose(theirs.vertices, ours.vertices, atol=0.51 * STEP_M)
+        np.testing.assert_allclose(theirs.displacement, ours.displacement, atol=0.51 * STEP_M)
+        for name in ("attached", "force", "gravity"):
+            np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+        assert {tuple(sorted(tet)) for tet in ours.tets.tolist()} == {
+            tuple(sorted(tet)) for tet in theirs.tets.tolist()
+        }
+        assert signed_volumes(theirs.vertices.astype(float), theirs.tets.astype(int)).min() > 0.0
+        assert _triangles(ours) == _triangles(theirs)
+        ours_pressed = {tuple(sorted(face)) for face in ours.faces[ours.pressure > 0].tolist()}
+        assert ours_pressed == {tuple(sorted(face)) for face in theirs.faces[theirs.pressure > 0].tolist()}
+        assert enclosed_volume(theirs.surface) == pytest.approx(enclosed_volume(ours.surface), rel=1e-4)
+
+
+def test_a_damaged_compact_record_is_refused(rich):
+    content = format_compact(rich)
+    for damaged in (content[: len(content) // 2], content[:-9] + bytes(9), content[:20]):
+        with pytest.raises(InvalidInputError, match="it must be a complete simulation record"):
+            parse_record(damaged, "it")
+
+
+def test_compact_file_is_read_like_any_other(data_folder, tmp_path):
+    packed = tmp_path / "sims.pack"
+    assert pack(data_folder, packed, compact=True) == 6
+    names = list_records(packed)
+    assert names[0] == "organ_000000.sim"
+    first = parse_record(next(iter(read_records(packed, names))), names[0])
+    assert first.seed == (3, 0)
+
+
+def test_digest_is_of_content_wherever_it_lies(data_folder, tmp_path):
+    pack(data_folder, tmp_path / "sims.pack")
+    value, count = digest_of(data_folder)
+    assert (value, count) == digest_of(tmp_path / "sims.pack")
+    assert count == 6
+    with pytest.raises(InvalidInputError, match="must hold simulations, got none"):
+        digest_of(tmp_path)
+
+
+def test_vtu_file_says_what_the_record_says(rich, tmp_path):
+    paths = write_vtu(tmp_path / "vtu", rich)
+    assert [path.name for path in paths] == ["organ_000002_case_0.vtu", "organ_000002_case_1.vtu"]
+    mesh = meshio.read(paths[1])
+    sample = rich.simulations[1]
+    np.testing.assert_array_equal(mesh.points, sample.vertices)
+    np.testing.assert_array_equal(mesh.cells_dict["tetra"], sample.tets)
+    np.testing.assert_array_equal(mesh.point_data["displacement"], sample.displacement)
+    np.testing.assert_array_equal(mesh.point_data["force"], sample.force)
+    np.testing.assert_array_equal(np.flatnonzero(mesh.point_data["attached"]), sample.attached)

@@ -13,16 +13,15 @@ from tqdm import tqdm
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.archive import (
-    format_record,
     list_records,
-    parse_record,
     read_records,
     record_name,
     record_number,
     write_record,
 )
 from softtissue_training.recipe import Recipe
-from softtissue_training.sample import simulate
+from softtissue_training.record_format import format_record, parse_record
+from softtissue_training.simulate import simulate
 
 if TYPE_CHECKING:
     from distributed import Client, Future

@@ -29,7 +29,7 @@ def add(commands: Commands) -> None:
 def _show(options: argparse.Namespace) -> int:
     from tqdm import tqdm
 
-    from softtissue_training.sample import simulate
+    from softtissue_training.simulate import simulate
     from softtissue_training.simulation_picture import draw_simulations
 
     recipe = recipe_from(options)

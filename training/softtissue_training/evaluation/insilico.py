@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.archive import content_hash, digest, list_records, parse_record, read_records
+from softtissue_training.archive import list_records, read_records
 from softtissue_training.evaluation.case import EvaluationCase
 from softtissue_training.evaluation.measured import CaseResult
 from softtissue_training.evaluation.methods import MethodSpec
 from softtissue_training.evaluation.observe import ObservationSettings, simulated_case
 from softtissue_training.evaluation.report import summarise, table, write_csv, write_json
 from softtissue_training.evaluation.runner import evaluate
+from softtissue_training.record_format import content_hash, parse_record
 
 _VERSION = 1  # of how cases are made
 ANSWERS, ROWS, SUMMARY, FIGURES = "answers", "samples.csv", "evaluation.json", "figures"
@@ -81,7 +82,7 @@ def simulated_organs(
     list
         One job a record.
     str
-        Hash of the records' content.
+        Hash of the chosen records' names and content.
 
     Raises
     ------
@@ -106,7 +107,11 @@ def simulated_organs(
         SimulatedOrgan(data, name, settings, seed, _key(content, settings, seed))
         for name, content in hashes.items()
     ]
-    return jobs, digest(hashes)
+    return jobs, _digest(hashes)
+
+
+def _digest(hashes: Mapping[str, str]) -> str:
+    return hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
 
 
 def _key(content: str, settings: ObservationSettings, seed: int) -> str:

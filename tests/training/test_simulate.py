@@ -6,7 +6,7 @@ import pytest
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.boundary_conditions import DENSITY_KG_M3, weight
 from softtissue_training.recipe import Recipe
-from softtissue_training.sample import simulate
+from softtissue_training.simulate import simulate
 from softtissue_training.tetrahedralise import TetMesh, signed_volumes
 
 from .conftest import COARSE

@@ -1,0 +1,137 @@
+"""Draw an organ, attach and load it, and find its equilibrium; what cannot be used is rejected and counted."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softtissue_estimator.errors import MeshError
+from softtissue_training.boundary_conditions import random_boundary_conditions, weight
+from softtissue_training.errors import RejectedSampleError, SolverDivergedError
+from softtissue_training.organ_shape import CUBE_SIDE_M, random_organ_surface
+from softtissue_training.recipe import Recipe
+from softtissue_training.sample import Record, Sample
+from softtissue_training.solver import solve
+from softtissue_training.tetrahedralise import TetMesh, tetrahedralise
+
+MAXIMUM_DISPLACEMENT_M = 0.10
+"""Simulations that move any point further are discarded (paper, section "Training data")."""
+_DRAWS_PER_CASE = 20
+
+
+def simulate(seed: int, number: int, recipe: Recipe) -> Record:
+    """Draw organs until one gives usable simulations.
+
+    Parameters
+    ----------
+    seed
+        Seed of the data set.
+    number
+        Number of the organ in it; the same pair gives the same organ, and each load case is the same however many
+        there are.
+    """
+    organs = np.random.default_rng([seed, number, 0])
+    loads = [np.random.default_rng([seed, number, 1 + case]) for case in range(recipe.load_cases)]
+    rejected: Counter[str] = Counter()
+    while True:
+        try:
+            mesh = _random_mesh(organs, recipe)
+            samples = [
+                _random_case(mesh, recipe, rng, (seed, number), case, rejected)
+                for case, rng in enumerate(loads)
+            ]
+        except RejectedSampleError as error:
+            rejected[error.reason] += 1
+        else:
+            return Record(tuple(samples), recipe, dict(rejected), versions())
+
+
+def _random_mesh(rng: np.random.Generator, recipe: Recipe) -> TetMesh:
+    try:
+        surface = random_organ_surface(rng, recipe.element_size_m, recipe.shapes)
+    except MeshError as error:
+        raise RejectedSampleError("shape", str(error)) from error
+    try:
+        return tetrahedralise(surface, recipe.element_size_m)
+    except MeshError as error:
+        raise RejectedSampleError("mesh", str(error)) from error
+
+
+def _random_case(
+    mesh: TetMesh,
+    recipe: Recipe,
+    rng: np.random.Generator,
+    seed: tuple[int, int],
+    case: int,
+    rejected: Counter[str],
+) -> Sample:
+    """Attach and load an organ until the simulation is usable; reject the organ if that takes too many draws."""
+    for _ in range(_DRAWS_PER_CASE):
+        try:
+            return _simulate_case(mesh, recipe, rng, seed, case)
+        except RejectedSampleError as error:
+            rejected[error.reason] += 1
+    raise RejectedSampleError("no usable load", f"{_DRAWS_PER_CASE} loads were rejected")
+
+
+def _simulate_case(
+    mesh: TetMesh, recipe: Recipe, rng: np.random.Generator, seed: tuple[int, int], case: int
+) -> Sample:
+    material = recipe.draw_material(rng)
+    surface = mesh.surface
+    conditions = random_boundary_conditions(surface, recipe, rng)
+    on_surface = len(surface.vertices)
+    fixed = np.zeros(len(mesh.vertices), dtype=bool)
+    fixed[:on_surface] = conditions.attached
+    force = np.zeros_like(mesh.vertices)
+    force[:on_surface] = conditions.force
+    load = force + weight(mesh, conditions.gravity)
+    try:
+        solution = solve(mesh.vertices, mesh.tets, fixed, load, material)
+    except SolverDivergedError as error:
+        raise RejectedSampleError("not converged", str(error)) from error
+    _check(mesh, solution.displacement)
+    return Sample(
+        vertices=mesh.vertices.astype(np.float32),
+        tets=mesh.tets.astype(np.int32),
+        faces=mesh.faces.astype(np.int32),
+        attached=np.flatnonzero(fixed).astype(np.int32),
+        force=force.astype(np.float32),
+        displacement=solution.displacement.astype(np.float32),
+        seed=seed,
+        material=material,
+        case=case,
+        gravity=conditions.gravity.astype(np.float32),
+        pressure=conditions.pressure.astype(np.float32),
+        residual=solution.residual,
+    )
+
+
+def _check(mesh: TetMesh, displacement: NDArray[np.float64]) -> None:
+    largest = float(np.linalg.norm(displacement, axis=1).max())
+    if largest > MAXIMUM_DISPLACEMENT_M:
+        raise RejectedSampleError(
+            "moved too far", f"displacements must stay below {MAXIMUM_DISPLACEMENT_M} m, got {largest:.3f} m"
+        )
+    reach = float(np.abs(mesh.vertices + displacement).max())
+    if reach > CUBE_SIDE_M / 2.0:
+        raise RejectedSampleError(
+            "left the cube",
+            f"the organ must stay within {CUBE_SIDE_M / 2.0} m of the centre, got {reach:.3f} m",
+        )
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the versions of what shapes a simulation."""
+    found = {}
+    for package in ("softtissue-training", "gmsh", "libigl", "numpy", "pypardiso", "scipy"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
