@@ -1,5 +1,6 @@
 import pytest
 import torch
+from matplotlib.image import imread
 
 from softtissue_estimator.checkpoint import load_checkpoint
 from softtissue_training.archive import list_records
@@ -11,7 +12,8 @@ def test_help_names_every_command(capsys):
         main(["--help"])
     assert ended.value.code == 0
     shown = capsys.readouterr().out
-    assert all(command in shown for command in ("generate", "pack", "train", "export"))
+    commands = ("generate", "show", "digest", "pack", "convert", "train", "evaluate", "export")
+    assert all(command in shown for command in commands)
 
 
 def test_pack_train_and_export(data_folder, tmp_path, capsys):
@@ -38,6 +40,45 @@ def test_wrong_data_ends_with_code_2_and_one_sentence(tmp_path, capsys):
     assert str(missing) in message
     assert "Traceback" not in message
     assert main(["pack", str(missing), str(tmp_path / "file")]) == 2
+
+
+def test_digest_and_convert(data_folder, tmp_path, capsys):
+    assert main(["digest", str(data_folder)]) == 0
+    value, count = capsys.readouterr().out.split()[:2]
+    assert (len(value), count) == (64, "6")
+    assert main(["convert", str(data_folder), str(tmp_path), "--count", "2"]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "organ_000000_case_0.vtu",
+        "organ_000001_case_0.vtu",
+    ]
+    assert main(["digest", str(tmp_path)]) == 2
+    assert "must hold simulations, got none" in capsys.readouterr().err
+
+
+def test_show_draws_a_picture(tmp_path, capsys):
+    file = tmp_path / "pictures" / "seed_3.png"
+    assert main(["show", "3", "--organs", "2", "--element-size", "20", "--out", str(file)]) == 0
+    assert str(file) in capsys.readouterr().out
+    rows, columns, _ = imread(file).shape
+    assert columns > rows > 300
+    assert imread(file).std() > 0.05
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--count", "3", "--load-cases", "2"], "--count must be a multiple of --load-cases, got 3 and 2"),
+        (["--count", "1", "--poisson-ratio", "0.3", "0.6"], "poisson_ratio must be a range within 0 to 0.49"),
+        (["--count", "1", "--force", "0", "1", "2"], "--force must be one value or the two ends"),
+        (["--count", "1", "--element-size", "1"], "element size must be 4 to 50 mm, got 1 mm"),
+    ],
+)
+def test_impossible_settings_end_with_code_2_and_one_sentence(options, message, tmp_path, capsys):
+    assert main(["generate", "--seed", "1", "--out", str(tmp_path / "sims"), *options]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "sims").exists()
 
 
 def test_generate_simulates_in_worker_processes(data_folder, tmp_path, capsys):

@@ -38,7 +38,8 @@ def draw_simulations(path: Path, samples: Sequence[Sample], title: str) -> None:
 
     largest = max(float(np.linalg.norm(sample.displacement, axis=1).max()) for sample in samples)
     scale = ScalarMappable(Normalize(0.0, 1e3 * largest), colormaps["viridis"])
-    figure = Figure(figsize=(2.9 * len(samples) + 0.8, 6.0), dpi=120, facecolor="white")
+    width = 3.0 * len(samples)
+    figure = Figure(figsize=(width + 1.2, 6.4), dpi=110, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, len(samples), squeeze=False)
     for column, sample in enumerate(samples):
@@ -56,8 +57,8 @@ def draw_simulations(path: Path, samples: Sequence[Sample], title: str) -> None:
         axes[0, column].set_title(f"organ {sample.seed[1]}: {volume:.2f} l, {force:.2f} N", fontsize=10)
         axes[1, column].set_title(f"moves up to {1e3 * length.max():.0f} mm", fontsize=10)
     figure.suptitle(title, fontsize=13)
-    figure.colorbar(scale, ax=axes[1, :].tolist(), shrink=0.8, label="displacement (mm)")
-    figure.text(0.02, 0.02, "dark: attached   blue: pushed", fontsize=9, color="#55555f")
+    figure.colorbar(scale, ax=axes.ravel().tolist(), shrink=0.7, aspect=30, label="displacement (mm)")
+    figure.supxlabel("dark: attached, blue: pushed", fontsize=9, color="#55555f")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, facecolor="white")
 
