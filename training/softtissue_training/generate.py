@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -40,11 +41,17 @@ class GenerationReport:
         Records in the folder, and load cases in them.
     rejected
         How many draws were rejected for which reason, over all records.
+    made
+        Simulations that this run added.
+    seconds
+        What that took.
     """
 
     organs: int
     simulations: int
     rejected: dict[str, int]
+    made: int
+    seconds: float
 
 
 def generate(
@@ -82,6 +89,7 @@ def generate(
     present = {record_number(name) for name in list_records(folder)}
     rejected = _take_stock(folder, seed, recipe)
     missing = [number for number in range(organs) if number not in present]
+    start = time.monotonic()
     results = _here(seed, missing, recipe) if client is None else _on(client, seed, missing, recipe)
     with tqdm(
         total=organs,
@@ -96,7 +104,13 @@ def generate(
             bar.update()
             bar.set_postfix(rejected=sum(rejected.values()), refresh=False)
     count = len(list_records(folder))
-    return GenerationReport(count, count * recipe.load_cases, dict(rejected))
+    return GenerationReport(
+        organs=count,
+        simulations=count * recipe.load_cases,
+        rejected=dict(rejected),
+        made=len(missing) * recipe.load_cases,
+        seconds=time.monotonic() - start,
+    )
 
 
 def _take_stock(folder: Path, seed: int, recipe: Recipe) -> Counter[str]:

@@ -52,8 +52,17 @@ def _generate(options: argparse.Namespace) -> int:
         )
     with connect(options.workers, options.scheduler) as client:
         print(f"dashboard: {client.dashboard_link}", flush=True)
+        processes = len(client.nthreads())
         report = generate(options.out, organs, options.seed, recipe, client=client)
     print(f"{report.simulations} simulations of {report.organs} organs in {options.out}")
-    for reason, times in sorted(report.rejected.items()):
-        print(f"  {times} draws rejected: {reason}")
+    if report.made:
+        rate = report.made / report.seconds
+        print(
+            f"{report.made} made in {report.seconds:.0f} s: {rate:.2f} a second, {rate / processes:.2f} by each of "
+            f"{processes} processes"
+        )
+    draws = report.simulations + sum(report.rejected.values())
+    print(f"{report.simulations / draws:.1%} of {draws} draws accepted")
+    for reason, times in sorted(report.rejected.items(), key=lambda item: -item[1]):
+        print(f"{times / draws:7.1%} rejected: {reason}")
     return 0
