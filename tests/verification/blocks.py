@@ -35,3 +35,33 @@ def face_loads(vertices, tets, axis):
             np.add.at(loads, triangles[:, i], area / 3.0)
     assert loads.sum() == pytest.approx(1.0)
     return loads
+
+
+def lattice(counts, lengths):
+    """Regular box from the origin, each cell divided into six tetrahedra: vertices (n, 3), tets (t, 4)."""
+    axes = [np.linspace(0.0, length, count + 1) for count, length in zip(counts, lengths, strict=True)]
+    vertices = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    number = np.arange(len(vertices)).reshape([count + 1 for count in counts])
+    tets = []
+    for path in ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)):
+        # Along the edges of a cell from its lowest corner to its highest one.
+        corner = np.zeros(3, dtype=int)
+        corners = [number[tuple(slice(c, c + n) for c, n in zip(corner, counts, strict=True))].ravel()]
+        for axis in path:
+            corner[axis] = 1
+            corners.append(
+                number[tuple(slice(c, c + n) for c, n in zip(corner, counts, strict=True))].ravel()
+            )
+        tets.append(np.stack(corners, axis=1))
+    tets = np.concatenate(tets).astype(np.int64)
+    negative = signed_volumes(vertices, tets) < 0
+    tets[negative] = tets[negative][:, [0, 1, 3, 2]]
+    return vertices, tets
+
+
+def with_midpoints(vertices, tets):
+    """Turn four-node tetrahedra into ten-node ones: vertices (n, 3), tets (t, 10), edges 01 12 02 03 13 23."""
+    ends = np.sort(tets[:, [[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]]], axis=2)
+    edges, slot = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True)
+    midpoints = vertices[edges].mean(axis=1)
+    return np.concatenate([vertices, midpoints]), np.column_stack([tets, len(vertices) + slot.reshape(-1, 6)])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.linear_solver import make_solver
+from softtissue_training.block_system import PAIR_FIRST, PAIR_SECOND, BlockSystem
 from softtissue_training.material import Material
 from softtissue_training.small_matrices import inverse
 
@@ -20,7 +20,6 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_FIRST, _SECOND = np.triu_indices(4)  # the pairs of an element's vertices
 _IDENTITY = np.eye(3)[:, :, None]
 
 
@@ -28,17 +27,20 @@ class Body:
     """Geometry, sparsity pattern and material of one mesh; holds what Newton's steps share."""
 
     def __init__(self, vertices: FloatArray, tets: IntArray, fixed: BoolArray, material: Material) -> None:
-        self.fixed, self.free, self.material = fixed, ~fixed, material
+        self.vertices, self.fixed, self.free, self.material = vertices, fixed, ~fixed, material
         self._vertex_count = len(vertices)
         # With an element's vertices in ascending order, its blocks lie in the upper triangle of the stiffness. The
         # volume keeps the sign of the order given.
         self.volume = _volumes(vertices, tets)
         self._tets = np.sort(tets, axis=1)
         gradient = _shape_gradients(vertices, self._tets)  # (4, 3, t)
-        self._first, self._second = _elements_first(gradient[_FIRST]), _elements_first(gradient[_SECOND])
+        self._first, self._second = (
+            _elements_first(gradient[PAIR_FIRST]),
+            _elements_first(gradient[PAIR_SECOND]),
+        )
         self._gradient_operator = self._make_gradient_operator(gradient)
         self._divergence_operator = self._gradient_operator.T.tocsr()
-        self._map_pattern()
+        self._system = self._make_system()
 
     def deformation_gradient(self, displacement: FloatArray) -> FloatArray:
         """F, (t, 3, 3)."""
@@ -55,13 +57,9 @@ class Body:
     def solve_tangent(
         self, displacement: FloatArray, right_hand_side: FloatArray, *, projected: bool
     ) -> FloatArray:
-        """Solve K(u) x = b on the free degrees of freedom."""
-        gradient = self.deformation_gradient(displacement)
-        if projected:
-            blocks = self._projected_blocks(gradient)
-        else:
-            blocks = self.material.contracted_tangent(gradient[:, None], self._first, self._second)
-        return self._solver.solve(self._assemble(blocks), right_hand_side)
+        """Solve K(u) x = b on the free degrees of freedom; returns (n, 3), zero where the vertices are fixed."""
+        blocks = self._blocks(self.deformation_gradient(displacement), None, projected=projected)
+        return self._system.solve(blocks, right_hand_side)
 
     def stiffness_times(self, displacement: FloatArray, direction: FloatArray) -> FloatArray:
         """K(u) times a displacement, (n, 3) newtons, over all degrees of freedom."""
@@ -89,47 +87,22 @@ class Body:
         result: FloatArray = self._divergence_operator @ np.ascontiguousarray(weighted.reshape(3, -1).T)
         return result
 
-    def _map_pattern(self) -> None:
-        """Find where the blocks of the elements go in the upper triangle of the free degrees of freedom.
+    def _make_system(self) -> BlockSystem:
+        return BlockSystem(self._tets, self.free)
 
-        Blocks are first summed by pair of vertices (`_sum_blocks`); `_order` then picks the free components of the
-        sums in the order of compressed rows.
-        """
-        first, second = self._tets[:, _FIRST].T.ravel(), self._tets[:, _SECOND].T.ravel()
-        pairs, slot = np.unique(first * self._vertex_count + second, return_inverse=True)
-        self._sum_blocks = sparse.csr_matrix(
-            (np.ones(len(slot)), (slot, np.arange(len(slot)))), shape=(len(pairs), len(slot))
-        )
-        number = np.full(self.free.shape, -1, dtype=np.int64)
-        size = int(self.free.sum())
-        number[self.free] = np.arange(size)
-        shape = (3, 3, len(pairs))
-        rows = np.broadcast_to(number[pairs // self._vertex_count].T[:, None], shape).ravel()
-        columns = np.broadcast_to(number[pairs % self._vertex_count].T[None], shape).ravel()
-        kept = np.flatnonzero((rows >= 0) & (columns >= rows))
-        keys = rows[kept] * size + columns[kept]
-        order = np.argsort(keys)
-        self._order, keys = kept[order], keys[order]
-        indptr = np.searchsorted(keys // size, np.arange(size + 1)).astype(np.int64)
-        self._solver = make_solver(indptr, keys % size)
-
-    def _assemble(self, blocks: FloatArray) -> FloatArray:
-        """Upper triangle of the stiffness in compressed-row order from blocks (t, 10, 3, 3) without volumes."""
-        by_component = (blocks * self.volume[:, None, None, None]).transpose(2, 3, 1, 0).reshape(9, -1)
-        sums = np.empty((9, self._sum_blocks.shape[0]))
-        for component, values in enumerate(by_component):
-            total: FloatArray = np.asarray(self._sum_blocks @ values)
-            sums[component] = total
-        result: FloatArray = sums.ravel()[self._order]
-        return result
-
-    def _projected_blocks(self, gradient: FloatArray) -> FloatArray:
-        """Blocks of the positive semi-definite part of each element's tangent (Teran et al. 2005)."""
-        values, vectors = np.linalg.eigh(self.material.tangent(gradient).reshape(-1, 9, 9))
+    def _blocks(self, gradient: FloatArray, pressure: FloatArray | None, *, projected: bool) -> FloatArray:
+        """Stiffness between the vertices of each element, (t, 10, 3, 3); `pressure` as in `Material.tangent`."""
+        volume = self.volume[:, None, None, None]
+        if not projected:
+            by_pair = None if pressure is None else pressure[:, None]
+            return volume * self.material.contracted_tangent(
+                gradient[:, None], self._first, self._second, by_pair
+            )
+        tangent = self.material.tangent(gradient, pressure).reshape(-1, 9, 9)
+        values, vectors = np.linalg.eigh(tangent)
         tangent = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-        tangent = tangent.reshape(-1, 3, 3, 3, 3)
-        half = np.einsum("epJ,eiJkL->epikL", self._first, tangent)
-        result: FloatArray = np.einsum("epikL,epL->epik", half, self._second)
+        half = np.einsum("epJ,eiJkL->epikL", self._first, tangent.reshape(-1, 3, 3, 3, 3))
+        result: FloatArray = volume * np.einsum("epikL,epL->epik", half, self._second)
         return result
 
 

@@ -60,55 +60,96 @@ class Material:
 
     def energy(self, deformation_gradient: FloatArray) -> FloatArray:
         """Return W, (...) J/m^3, for F (..., 3, 3); infinite where F is inverted."""
+        lam, _ = self.lame_pa
+        strain = self.volumetric_strain(deformation_gradient)
+        result: FloatArray = self.shear_energy(deformation_gradient) + 0.5 * lam * strain**2
+        return result
+
+    def shear_energy(self, deformation_gradient: FloatArray) -> FloatArray:
+        """Return W without the term of lambda, (...) J/m^3, for F (..., 3, 3); infinite where F is inverted."""
         f = deformation_gradient
-        lam, mu = self.lame_pa
+        _, mu = self.lame_pa
         det = determinant(f)
         if self.law == "neo_hookean":
-            log_j = np.log(np.where(det > 0.0, det, 1.0))
-            value = 0.5 * mu * (np.einsum("...iJ,...iJ->...", f, f) - 3.0) - mu * log_j + 0.5 * lam * log_j**2
+            value = 0.5 * mu * (np.einsum("...iJ,...iJ->...", f, f) - 3.0) - mu * _log(det)
         else:
             strain = _green_lagrange(f)
-            trace = np.einsum("...II->...", strain)
-            value = 0.5 * lam * trace**2 + mu * np.einsum("...IJ,...IJ->...", strain, strain)
+            value = mu * np.einsum("...IJ,...IJ->...", strain, strain)
         return np.where(det > 0.0, value, np.inf)
 
-    def stress(self, deformation_gradient: FloatArray) -> FloatArray:
-        """Return P, (..., 3, 3) Pa, for F (..., 3, 3) with positive determinant."""
+    def volumetric_strain(self, deformation_gradient: FloatArray) -> FloatArray:
+        """Return theta, (...), for F (..., 3, 3): the term of lambda in W is lambda/2 theta^2; zero where inverted."""
+        if self.law == "neo_hookean":
+            return _log(determinant(deformation_gradient))
+        result: FloatArray = np.einsum("...II->...", _green_lagrange(deformation_gradient))
+        return result
+
+    def volumetric_gradient(self, deformation_gradient: FloatArray) -> FloatArray:
+        """Return d theta / dF, (..., 3, 3), for F (..., 3, 3) with positive determinant."""
+        if self.law == "neo_hookean":
+            return np.swapaxes(inverse(deformation_gradient)[0], -1, -2)
+        return deformation_gradient
+
+    def stress(self, deformation_gradient: FloatArray, pressure: FloatArray | None = None) -> FloatArray:
+        """Return P, (..., 3, 3) Pa, for F (..., 3, 3) with positive determinant.
+
+        Parameters
+        ----------
+        deformation_gradient
+            F.
+        pressure
+            (...) Pa, positive in tension, that stands for lambda theta; None computes it from F.
+        """
         f = deformation_gradient
-        lam, mu = self.lame_pa
+        _, mu = self.lame_pa
         if self.law == "neo_hookean":
             inverse_f, det = inverse(f)
             inverse_t = np.swapaxes(inverse_f, -1, -2)
-            neo: FloatArray = mu * f + (lam * np.log(det) - mu)[..., None, None] * inverse_t
+            if pressure is None:
+                pressure = self._pressure(np.log(det))
+            neo: FloatArray = mu * f + (pressure - mu)[..., None, None] * inverse_t
             return neo
-        kirchhoff: FloatArray = np.einsum("...iK,...KJ->...iJ", f, self._second_piola_kirchhoff(f))
+        kirchhoff: FloatArray = np.einsum("...iK,...KJ->...iJ", f, self._second_piola_kirchhoff(f, pressure))
         return kirchhoff
 
-    def tangent(self, deformation_gradient: FloatArray) -> FloatArray:
-        """Return A, (..., 3, 3, 3, 3) Pa, for F (..., 3, 3) with positive determinant."""
+    def tangent(self, deformation_gradient: FloatArray, pressure: FloatArray | None = None) -> FloatArray:
+        """Return A, (..., 3, 3, 3, 3) Pa, for F (..., 3, 3) with positive determinant.
+
+        Parameters
+        ----------
+        deformation_gradient
+            F.
+        pressure
+            (...) Pa, positive in tension, that stands for lambda theta and does not change with F; None is the material
+            itself.
+        """
         f = deformation_gradient
         lam, mu = self.lame_pa
         if self.law == "neo_hookean":
             inverse_f, det = inverse(f)
-            inverse_t = np.swapaxes(inverse_f, -1, -2)
-            log_j = np.log(det)[..., None, None, None, None]
-            neo: FloatArray = (
-                mu * np.einsum("ik,JL->iJkL", _IDENTITY, _IDENTITY)
-                + (mu - lam * log_j) * np.einsum("...iL,...kJ->...iJkL", inverse_t, inverse_t)
-                + lam * np.einsum("...iJ,...kL->...iJkL", inverse_t, inverse_t)
+            normal = np.swapaxes(inverse_f, -1, -2)
+            shear = mu - (self._pressure(np.log(det)) if pressure is None else pressure)
+            result: FloatArray = mu * np.einsum("ik,JL->iJkL", _IDENTITY, _IDENTITY) + shear[
+                ..., None, None, None, None
+            ] * np.einsum("...iL,...kJ->...iJkL", normal, normal)
+        else:
+            normal = f
+            left = f @ np.swapaxes(f, -1, -2)
+            result = (
+                np.einsum("ik,...JL->...iJkL", _IDENTITY, self._second_piola_kirchhoff(f, pressure))
+                + mu * np.einsum("...ik,JL->...iJkL", left, _IDENTITY)
+                + mu * np.einsum("...iL,...kJ->...iJkL", f, f)
             )
-            return neo
-        left = f @ np.swapaxes(f, -1, -2)
-        kirchhoff: FloatArray = (
-            np.einsum("ik,...JL->...iJkL", _IDENTITY, self._second_piola_kirchhoff(f))
-            + lam * np.einsum("...iJ,...kL->...iJkL", f, f)
-            + mu * np.einsum("...ik,JL->...iJkL", left, _IDENTITY)
-            + mu * np.einsum("...iL,...kJ->...iJkL", f, f)
-        )
-        return kirchhoff
+        if pressure is None:
+            result = result + lam * np.einsum("...iJ,...kL->...iJkL", normal, normal)
+        return result
 
     def contracted_tangent(
-        self, deformation_gradient: FloatArray, first: FloatArray, second: FloatArray
+        self,
+        deformation_gradient: FloatArray,
+        first: FloatArray,
+        second: FloatArray,
+        pressure: FloatArray | None = None,
     ) -> FloatArray:
         """Return a_J A[i, J, k, L] b_L, (..., 3, 3), for vectors a and b, (..., 3): the stiffness of two vertices.
 
@@ -121,26 +162,40 @@ class Material:
             inverse_f, det = inverse(f)
             spatial_first = np.einsum("...J,...Ji->...i", first, inverse_f)
             spatial_second = np.einsum("...J,...Ji->...i", second, inverse_f)
-            shear = (mu - lam * np.log(det))[..., None, None]
-            blocks = lam * _outer(spatial_first, spatial_second) + shear * _outer(
-                spatial_second, spatial_first
-            )
-            return _add_to_diagonal(blocks, mu * along)
-        stress = self._second_piola_kirchhoff(f)
-        spatial_first = np.einsum("...iJ,...J->...i", f, first)
-        spatial_second = np.einsum("...iJ,...J->...i", f, second)
-        left = np.einsum("...iK,...jK->...ij", f, f)
-        blocks = lam * _outer(spatial_first, spatial_second) + mu * _outer(spatial_second, spatial_first)
-        blocks = blocks + mu * along[..., None, None] * left
-        traction = np.einsum("...JL,...L->...J", stress, second)
-        return _add_to_diagonal(blocks, np.einsum("...J,...J->...", first, traction))
+            shear = mu - (self._pressure(np.log(det)) if pressure is None else pressure)
+            blocks = shear[..., None, None] * _outer(spatial_second, spatial_first)
+            diagonal = mu * along
+        else:
+            spatial_first = np.einsum("...iJ,...J->...i", f, first)
+            spatial_second = np.einsum("...iJ,...J->...i", f, second)
+            blocks = mu * _outer(spatial_second, spatial_first)
+            traction = np.einsum("...JL,...L->...J", self._second_piola_kirchhoff(f, pressure), second)
+            diagonal = np.einsum("...J,...J->...", first, traction)
+        if pressure is None:
+            blocks += lam * _outer(spatial_first, spatial_second)
+        if self.law == "st_venant_kirchhoff":
+            blocks += mu * along[..., None, None] * np.einsum("...iK,...jK->...ij", f, f)
+        for i in range(3):
+            blocks[..., i, i] += diagonal
+        return blocks
 
-    def _second_piola_kirchhoff(self, f: FloatArray) -> FloatArray:
-        lam, mu = self.lame_pa
+    def _second_piola_kirchhoff(self, f: FloatArray, pressure: FloatArray | None) -> FloatArray:
+        _, mu = self.lame_pa
         strain = _green_lagrange(f)
-        trace = np.einsum("...II->...", strain)[..., None, None]
-        result: FloatArray = lam * trace * _IDENTITY + 2.0 * mu * strain
+        if pressure is None:
+            pressure = self._pressure(np.einsum("...II->...", strain))
+        result: FloatArray = pressure[..., None, None] * _IDENTITY + 2.0 * mu * strain
         return result
+
+    def _pressure(self, volumetric_strain: FloatArray) -> FloatArray:
+        lam, _ = self.lame_pa
+        result: FloatArray = lam * volumetric_strain
+        return result
+
+
+def _log(det: FloatArray) -> FloatArray:
+    result: FloatArray = np.log(np.where(det > 0.0, det, 1.0))
+    return result
 
 
 def _green_lagrange(f: FloatArray) -> FloatArray:
@@ -151,9 +206,3 @@ def _green_lagrange(f: FloatArray) -> FloatArray:
 def _outer(a: FloatArray, b: FloatArray) -> FloatArray:
     result: FloatArray = a[..., :, None] * b[..., None, :]
     return result
-
-
-def _add_to_diagonal(matrices: FloatArray, values: FloatArray) -> FloatArray:
-    for i in range(3):
-        matrices[..., i, i] += values
-    return matrices

@@ -5,16 +5,21 @@ with F_e = I + sum_a u_a (x) grad N_a constant in each element. Newton's step is
 that step does not lead downhill (the tangent is indefinite), the material tangents are projected onto positive
 semi-definite ones (Teran et al. 2005). The line search accepts only lower energy and no inverted element, so that what
 is found is a stable equilibrium. Most loads need no increments; those that do get them (`load_stepping`).
+
+Plain tetrahedra lock as Poisson's ratio goes to 0.5, so above `NEARLY_INCOMPRESSIBLE` the volumetric strain is averaged
+at the vertices (`averaged_body`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_training.averaged_body import AveragedBody
 from softtissue_training.body import Body
 from softtissue_training.errors import SolverDivergedError
 from softtissue_training.load_stepping import apply_load
@@ -23,6 +28,10 @@ from softtissue_training.material import Material
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+
+Formulation = Literal["plain", "averaged"]
+NEARLY_INCOMPRESSIBLE = 0.40
+"""Poisson's ratio above which the volumetric strain is averaged unless a formulation is asked for."""
 
 _ARMIJO = 1e-4
 _HALVINGS = 12
@@ -61,6 +70,7 @@ def solve(
     material: Material,
     *,
     prescribed: FloatArray | None = None,
+    formulation: Formulation | None = None,
     tolerance: float = 1e-6,
     max_iterations: int = 60,
 ) -> Solution:
@@ -78,6 +88,8 @@ def solve(
         (n, 3) newtons.
     prescribed
         (n, 3) metres, used where `fixed`; zero if None.
+    formulation
+        "plain" tetrahedra, "averaged" volumetric strain, or None to choose by Poisson's ratio.
     tolerance
         Residual relative to the largest of load and internal forces at which the solve has converged.
     max_iterations
@@ -93,7 +105,7 @@ def solve(
     _check(vertices, tets, fixed, force)
     if fixed.ndim == 1:
         fixed = np.repeat(fixed[:, None], 3, axis=1)
-    body = Body(vertices, tets, fixed, material)
+    body = make_body(vertices, tets, fixed, material, formulation)
     moved = np.where(fixed, 0.0 if prescribed is None else prescribed, 0.0)
 
     def advance(last: FloatArray, share: float) -> tuple[FloatArray, int]:
@@ -104,6 +116,23 @@ def solve(
     internal = body.internal_force(displacement)
     reaction = np.where(fixed, internal - force, 0.0)
     return Solution(displacement, reaction, iterations, _residual(body, force, internal), increments)
+
+
+def make_body(
+    vertices: FloatArray,
+    tets: IntArray,
+    fixed: BoolArray,
+    material: Material,
+    formulation: Formulation | None = None,
+) -> Body:
+    """Return the body of a formulation, by default of the one that suits Poisson's ratio.
+
+    `fixed` is (n, 3); the rest is as in `solve`.
+    """
+    if formulation is None:
+        formulation = "averaged" if material.poisson_ratio > NEARLY_INCOMPRESSIBLE else "plain"
+    kind = {"plain": Body, "averaged": AveragedBody}[formulation]
+    return kind(vertices, tets, fixed, material)
 
 
 def find_equilibrium(
@@ -123,7 +152,7 @@ def find_equilibrium(
         if residual < tolerance:
             return displacement, iteration
         if iteration < max_iterations:
-            displacement = _newton_step(body, displacement, force, (force - internal)[body.free])
+            displacement = _newton_step(body, displacement, force, force - internal)
     raise SolverDivergedError(
         f"equilibrium needs a relative residual below {tolerance:g} within {max_iterations} iterations, "
         f"got {residual:.3g}"
@@ -139,9 +168,8 @@ def _follow_prescribed(body: Body, displacement: FloatArray, prescribed: FloatAr
     gain = np.where(body.fixed, prescribed - displacement, 0.0)
     if not np.any(gain):
         return displacement
-    right_hand_side = -body.stiffness_times(displacement, gain)[body.free]
-    gain[body.free] = body.solve_tangent(displacement, right_hand_side, projected=False)
-    start: FloatArray = displacement + gain
+    answer = body.solve_tangent(displacement, -body.stiffness_times(displacement, gain), projected=False)
+    start: FloatArray = displacement + gain + answer
     if not np.isfinite(body.energy(start)):
         raise SolverDivergedError(
             "the prescribed displacement inverts elements; prescribe it in smaller steps"
@@ -154,9 +182,8 @@ def _newton_step(
 ) -> FloatArray:
     before = body.energy(displacement) - _dot(force, displacement)
     for projected in (False, True):
-        step = np.zeros_like(displacement)
-        step[body.free] = body.solve_tangent(displacement, unbalanced, projected=projected)
-        slope = -_dot(unbalanced, step[body.free])
+        step = body.solve_tangent(displacement, unbalanced, projected=projected)
+        slope = -_dot(unbalanced[body.free], step[body.free])
         if not np.isfinite(slope) or slope >= 0.0:
             continue
         length = 1.0
@@ -169,7 +196,7 @@ def _newton_step(
             length *= 0.5
     raise SolverDivergedError(
         f"no step of at least {0.5**_HALVINGS:.1e} times Newton's lowers the energy; unbalanced force "
-        f"{_norm(unbalanced):.3g} N"
+        f"{_norm(unbalanced[body.free]):.3g} N"
     )
 
 
