@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.ticker import StrMethodFormatter
 
 from softtissue_training.evaluation import metrics
 from softtissue_training.evaluation.measured import CaseResult
@@ -72,6 +73,7 @@ def _draw_share(results: Sequence[CaseResult], labels: Sequence[str]) -> Figure:
     figure = Figure(figsize=(6.0, 4.2), dpi=_DPI, layout="constrained")
     axes = figure.add_subplot()
     _draw_bins(axes, labels, partial(metrics.by_visible_share, results), 100.0, fewest=1)
+    axes.set_xlim(0.0, 100.0)
     axes.set_xlabel("visible surface, %")
     axes.set_ylabel("mean over samples of the mean error, mm")
     _legend(figure)
@@ -91,7 +93,9 @@ def _draw_bins(
         mean = [b.errors.mean_mm for b in bins if b.errors is not None]
         axes.plot(middle, mean, marker="o", markersize=3, label=label)
     axes.set_yscale("symlog", linthresh=1.0)
-    axes.set_ylim(bottom=0.0)
+    axes.set_yticks([0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0], minor=False)
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.set_ylim(0.0, 1.1 * max(axes.dataLim.y1, 1.0))
     axes.grid(alpha=0.3)
 
 
