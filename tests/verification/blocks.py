@@ -65,3 +65,10 @@ def with_midpoints(vertices, tets):
     edges, slot = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True)
     midpoints = vertices[edges].mean(axis=1)
     return np.concatenate([vertices, midpoints]), np.column_stack([tets, len(vertices) + slot.reshape(-1, 6)])
+
+
+def boundary_faces(tets):
+    """Triangles that belong to one tetrahedron only, counter-clockwise seen from outside, (f, 3)."""
+    faces = tets[:, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]].reshape(-1, 3)
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[first[count == 1]]

@@ -47,9 +47,9 @@ class AveragedBody(Body):
                 f"averaging needs a Poisson's ratio above zero, got {material.poisson_ratio}"
             )
         super().__init__(vertices, tets, fixed, material)
-        count = len(self._tets)
+        count = len(self.tets)
         self._share = sparse.csr_matrix(
-            (np.repeat(self.volume / 4.0, 4), (self._tets.ravel(), np.repeat(np.arange(count), 4))),
+            (np.repeat(self.volume / 4.0, 4), (self.tets.ravel(), np.repeat(np.arange(count), 4))),
             shape=(len(vertices), count),
         )
         self._vertex_volume = np.asarray(self._share.sum(axis=1)).ravel()
@@ -69,15 +69,22 @@ class AveragedBody(Body):
         return self._divergence(self.material.stress(gradient, self._pressure(gradient)))
 
     def solve_tangent(
-        self, displacement: FloatArray, right_hand_side: FloatArray, *, projected: bool
+        self,
+        displacement: FloatArray,
+        right_hand_side: FloatArray,
+        *,
+        projected: bool,
+        load_stiffness: FloatArray | None = None,
     ) -> FloatArray:
-        """Solve K(u) x = b on the free degrees of freedom; returns (n, 3), zero where the vertices are fixed."""
+        """Solve K(u) x = b on the free degrees of freedom; see `Body.solve_tangent`."""
         gradient = self.deformation_gradient(displacement)
-        blocks = np.moveaxis(np.zeros((4, 4, len(PAIR_FIRST), len(self._tets))), (2, 3), (1, 0))
+        blocks = np.moveaxis(np.zeros((4, 4, len(PAIR_FIRST), len(self.tets))), (2, 3), (1, 0))
         blocks[..., :3, :3] = self._blocks(gradient, self._pressure(gradient), projected=projected)
+        if load_stiffness is not None:
+            blocks[..., :3, :3] -= load_stiffness
         normal = self.material.volumetric_gradient(gradient)[:, None]
         share = self.volume[:, None] / 4.0
-        first, second = self._scale[self._tets[:, PAIR_FIRST]], self._scale[self._tets[:, PAIR_SECOND]]
+        first, second = self._scale[self.tets[:, PAIR_FIRST]], self._scale[self.tets[:, PAIR_SECOND]]
         blocks[..., :3, 3] = (share * second)[..., None] * np.einsum("epJ,epiJ->epi", self._first, normal)
         blocks[..., 3, :3] = (share * first)[..., None] * np.einsum("epJ,epiJ->epi", self._second, normal)
         same = PAIR_FIRST == PAIR_SECOND
@@ -97,7 +104,7 @@ class AveragedBody(Body):
 
     def _make_system(self) -> BlockSystem:
         free = np.column_stack([self.free, np.ones(len(self.free), dtype=bool)])
-        return BlockSystem(self._tets, free)
+        return BlockSystem(self.tets, free)
 
     def _pressure(self, gradient: FloatArray) -> FloatArray:
         """Return p_e, (t,) Pa."""
@@ -110,5 +117,5 @@ class AveragedBody(Body):
 
     def _to_elements(self, values: FloatArray) -> FloatArray:
         """Return the mean over each element's vertices, (t,), of values of the vertices, (n,)."""
-        result: FloatArray = values[self._tets].mean(axis=1)
+        result: FloatArray = values[self.tets].mean(axis=1)
         return result

@@ -32,8 +32,8 @@ class Body:
         # With an element's vertices in ascending order, its blocks lie in the upper triangle of the stiffness. The
         # volume keeps the sign of the order given.
         self.volume = _volumes(vertices, tets)
-        self._tets = np.sort(tets, axis=1)
-        gradient = _shape_gradients(vertices, self._tets)  # (4, 3, t)
+        self.tets = np.sort(tets, axis=1)
+        gradient = _shape_gradients(vertices, self.tets)  # (4, 3, t)
         self._first, self._second = (
             _elements_first(gradient[PAIR_FIRST]),
             _elements_first(gradient[PAIR_SECOND]),
@@ -55,10 +55,39 @@ class Body:
         return self._divergence(self.material.stress(self.deformation_gradient(displacement)))
 
     def solve_tangent(
-        self, displacement: FloatArray, right_hand_side: FloatArray, *, projected: bool
+        self,
+        displacement: FloatArray,
+        right_hand_side: FloatArray,
+        *,
+        projected: bool,
+        load_stiffness: FloatArray | None = None,
     ) -> FloatArray:
-        """Solve K(u) x = b on the free degrees of freedom; returns (n, 3), zero where the vertices are fixed."""
+        """Solve K(u) x = b on the free degrees of freedom.
+
+        Parameters
+        ----------
+        displacement
+            u, (n, 3) metres.
+        right_hand_side
+            b, (n, 3) newtons.
+        projected
+            Whether to take the positive semi-definite part of each element's material tangent (Teran et al. 2005).
+        load_stiffness
+            (t, 10, 3, 3) N/m that is taken off K, for loads that change with u.
+
+        Returns
+        -------
+        FloatArray
+            x, (n, 3), zero where the vertices are fixed.
+
+        Raises
+        ------
+        SolverDivergedError
+            K is singular.
+        """
         blocks = self._blocks(self.deformation_gradient(displacement), None, projected=projected)
+        if load_stiffness is not None:
+            blocks = blocks - load_stiffness
         return self._system.solve(blocks, right_hand_side)
 
     def stiffness_times(self, displacement: FloatArray, direction: FloatArray) -> FloatArray:
@@ -69,9 +98,9 @@ class Body:
 
     def _make_gradient_operator(self, gradient: FloatArray) -> sparse.csr_matrix:
         """Matrix (3 t, n) from the values at the vertices to the gradient's components of each element."""
-        count = len(self._tets)
+        count = len(self.tets)
         rows = np.broadcast_to(np.arange(3)[:, None] * count + np.arange(count), (4, 3, count))
-        columns = np.broadcast_to(self._tets.T[:, None, :], (4, 3, count))
+        columns = np.broadcast_to(self.tets.T[:, None, :], (4, 3, count))
         return sparse.csr_matrix(
             (gradient.ravel(), (rows.ravel(), columns.ravel())), shape=(3 * count, self._vertex_count)
         )
@@ -88,7 +117,7 @@ class Body:
         return result
 
     def _make_system(self) -> BlockSystem:
-        return BlockSystem(self._tets, self.free)
+        return BlockSystem(self.tets, self.free)
 
     def _blocks(self, gradient: FloatArray, pressure: FloatArray | None, *, projected: bool) -> FloatArray:
         """Stiffness between the vertices of each element, (t, 10, 3, 3); `pressure` as in `Material.tangent`."""

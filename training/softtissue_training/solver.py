@@ -6,6 +6,9 @@ that step does not lead downhill (the tangent is indefinite), the material tange
 semi-definite ones (Teran et al. 2005). The line search accepts only lower energy and no inverted element, so that what
 is found is a stable equilibrium. Most loads need no increments; those that do get them (`load_stepping`).
 
+Pressure that follows the surface (`pressure`) has no energy; in the line search the work of the mean of the loads
+before and after a step stands for it.
+
 Plain tetrahedra lock as Poisson's ratio goes to 0.5, so above `NEARLY_INCOMPRESSIBLE` the volumetric strain is averaged
 at the vertices (`averaged_body`).
 """
@@ -24,6 +27,7 @@ from softtissue_training.body import Body
 from softtissue_training.errors import SolverDivergedError
 from softtissue_training.load_stepping import apply_load
 from softtissue_training.material import Material
+from softtissue_training.pressure import SurfacePressure
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -51,6 +55,8 @@ class Solution:
         Newton steps taken, over all increments.
     residual
         Norm of the unbalanced force over the norm of the load.
+    load
+        (n, 3) newtons, dead forces and pressure on the deformed body.
     increments
         Parts in which the load was applied; 1 where the whole load converged at once.
     """
@@ -59,6 +65,7 @@ class Solution:
     reaction: FloatArray
     iterations: int
     residual: float
+    load: FloatArray
     increments: int = 1
 
 
@@ -70,11 +77,12 @@ def solve(
     material: Material,
     *,
     prescribed: FloatArray | None = None,
+    pressure: SurfacePressure | None = None,
     formulation: Formulation | None = None,
     tolerance: float = 1e-6,
     max_iterations: int = 60,
 ) -> Solution:
-    """Find the equilibrium displacement of a body under dead nodal forces.
+    """Find the equilibrium displacement of a body under dead nodal forces and pressure.
 
     Parameters
     ----------
@@ -88,6 +96,8 @@ def solve(
         (n, 3) newtons.
     prescribed
         (n, 3) metres, used where `fixed`; zero if None.
+    pressure
+        Pressure that follows the surface, beside `force`.
     formulation
         "plain" tetrahedra, "averaged" volumetric strain, or None to choose by Poisson's ratio.
     tolerance
@@ -106,16 +116,46 @@ def solve(
     if fixed.ndim == 1:
         fixed = np.repeat(fixed[:, None], 3, axis=1)
     body = make_body(vertices, tets, fixed, material, formulation)
+    load = _Load(body, force, pressure)
     moved = np.where(fixed, 0.0 if prescribed is None else prescribed, 0.0)
 
     def advance(last: FloatArray, share: float) -> tuple[FloatArray, int]:
         start = _follow_prescribed(body, last, share * moved)
-        return find_equilibrium(body, start, share * force, tolerance, max_iterations)
+        return find_equilibrium(body, start, load.times(share), tolerance, max_iterations)
 
     displacement, iterations, increments = apply_load(advance, np.zeros_like(vertices, dtype=np.float64))
-    internal = body.internal_force(displacement)
-    reaction = np.where(fixed, internal - force, 0.0)
-    return Solution(displacement, reaction, iterations, _residual(body, force, internal), increments)
+    internal, loaded = body.internal_force(displacement), load.force(displacement)
+    reaction = np.where(fixed, internal - loaded, 0.0)
+    return Solution(displacement, reaction, iterations, _residual(body, loaded, internal), loaded, increments)
+
+
+@dataclass(frozen=True)
+class _Load:
+    """Dead forces, (n, 3) newtons, and pressure on a body, in some share of the full load."""
+
+    body: Body
+    dead: FloatArray
+    pressure: SurfacePressure | None
+
+    def times(self, share: float) -> _Load:
+        pressure = self.pressure
+        if pressure is not None:
+            pressure = SurfacePressure(pressure.faces, share * pressure.pressure_pa)
+        return _Load(self.body, share * self.dead, pressure)
+
+    def force(self, displacement: FloatArray) -> FloatArray:
+        """(n, 3) newtons on the displaced body."""
+        if self.pressure is None:
+            return self.dead
+        return self.dead + self.pressure.force(self.body.vertices + displacement)
+
+    def mean_force(self, before: FloatArray, after: FloatArray) -> FloatArray:
+        return self.dead if self.pressure is None else 0.5 * (self.force(before) + self.force(after))
+
+    def stiffness(self, displacement: FloatArray) -> FloatArray | None:
+        if self.pressure is None:
+            return None
+        return self.pressure.stiffness(self.body.vertices + displacement, self.body.tets)
 
 
 def make_body(
@@ -136,7 +176,7 @@ def make_body(
 
 
 def find_equilibrium(
-    body: Body, start: FloatArray, force: FloatArray, tolerance: float, max_iterations: int
+    body: Body, start: FloatArray, load: _Load, tolerance: float, max_iterations: int
 ) -> tuple[FloatArray, int]:
     """Return the equilibrium displacement, (n, 3), reached by Newton's steps from a start, and their number.
 
@@ -147,12 +187,12 @@ def find_equilibrium(
     """
     displacement = start
     for iteration in range(max_iterations + 1):
-        internal = body.internal_force(displacement)
+        internal, force = body.internal_force(displacement), load.force(displacement)
         residual = _residual(body, force, internal)
         if residual < tolerance:
             return displacement, iteration
         if iteration < max_iterations:
-            displacement = _newton_step(body, displacement, force, force - internal)
+            displacement = _newton_step(body, displacement, load, force - internal)
     raise SolverDivergedError(
         f"equilibrium needs a relative residual below {tolerance:g} within {max_iterations} iterations, "
         f"got {residual:.3g}"
@@ -177,18 +217,21 @@ def _follow_prescribed(body: Body, displacement: FloatArray, prescribed: FloatAr
     return start
 
 
-def _newton_step(
-    body: Body, displacement: FloatArray, force: FloatArray, unbalanced: FloatArray
-) -> FloatArray:
-    before = body.energy(displacement) - _dot(force, displacement)
+def _newton_step(body: Body, displacement: FloatArray, load: _Load, unbalanced: FloatArray) -> FloatArray:
+    energy = body.energy(displacement)
     for projected in (False, True):
-        step = body.solve_tangent(displacement, unbalanced, projected=projected)
+        load_stiffness = None if projected else load.stiffness(displacement)
+        step = body.solve_tangent(
+            displacement, unbalanced, projected=projected, load_stiffness=load_stiffness
+        )
         slope = -_dot(unbalanced[body.free], step[body.free])
         if not np.isfinite(slope) or slope >= 0.0:
             continue
         length = 1.0
         for _ in range(_HALVINGS):
             trial = displacement + length * step
+            force = load.mean_force(displacement, trial)
+            before = energy - _dot(force, displacement)
             after = body.energy(trial) - _dot(force, trial)
             # Near the solution the gain drowns in rounding.
             if after <= before + _ARMIJO * length * slope + 1e-13 * abs(before):
