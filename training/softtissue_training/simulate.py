@@ -13,6 +13,7 @@ from softtissue_estimator.errors import MeshError
 from softtissue_training.boundary_conditions import random_boundary_conditions, weight
 from softtissue_training.errors import RejectedSampleError, SolverDivergedError
 from softtissue_training.organ_shape import CUBE_SIDE_M, random_organ_surface
+from softtissue_training.pressure import SurfacePressure
 from softtissue_training.recipe import Recipe
 from softtissue_training.sample import Record, Sample
 from softtissue_training.solver import solve
@@ -90,8 +91,9 @@ def _simulate_case(
     force = np.zeros_like(mesh.vertices)
     force[:on_surface] = conditions.force
     load = force + weight(mesh, conditions.gravity)
+    pressure = SurfacePressure(mesh.faces, conditions.pressure) if conditions.pressure.any() else None
     try:
-        solution = solve(mesh.vertices, mesh.tets, fixed, load, material)
+        solution = solve(mesh.vertices, mesh.tets, fixed, load, material, pressure=pressure)
     except SolverDivergedError as error:
         raise RejectedSampleError("not converged", str(error)) from error
     _check(mesh, solution.displacement)
