@@ -2,6 +2,11 @@
 
 import csv
 import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -145,6 +150,40 @@ def test_an_interrupted_evaluation_goes_on(data_folder, tmp_path, method, no_fig
     run(data_folder, tmp_path / "killed", "zero,fit", count=4)
     run(data_folder, tmp_path / "whole", "zero,fit", count=4)
     assert untimed(tmp_path / "killed") == untimed(tmp_path / "whole")
+
+
+def ended(pid):
+    """Whether a process is gone, or only waits to be counted by its parent."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except FileNotFoundError:
+        return True
+
+
+def wait_until(condition, seconds=90.0):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "not in time"
+        time.sleep(0.02)
+
+
+def test_killed_in_the_middle_it_leaves_no_process_and_goes_on(data_folder, tmp_path, no_figures):
+    out = tmp_path / "killed"
+    arguments = ["--data", str(data_folder), "--estimators", "fem,rigid", "--out", str(out), "--workers", "1"]
+    running = subprocess.Popen(
+        [sys.executable, "-m", "softtissue_training", "evaluate", "insilico", *arguments],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        stderr=subprocess.DEVNULL,
+    )
+    wait_until(lambda: len(list(out.glob("answers/*.npz"))) >= 4)
+    children = Path(f"/proc/{running.pid}/task/{running.pid}/children").read_text().split()
+    running.kill()
+    running.wait()
+    assert children
+    wait_until(lambda: all(ended(pid) for pid in children))
+    run(data_folder, out, "fem,rigid")
+    run(data_folder, tmp_path / "whole", "fem,rigid")
+    assert untimed(out) == untimed(tmp_path / "whole")
 
 
 def test_a_damaged_answer_is_said(data_folder, tmp_path, capsys, no_figures):
