@@ -92,8 +92,9 @@ def test_finite_elements_continue_an_affine_displacement(samples):
 
 def test_finite_elements_find_what_no_hidden_force_acts_on(samples):
     """A body that is moved by its visible patch alone and held at its attachment."""
-    sample = samples[1]
+    sample = samples[0]
     seen = case_of(sample)
+    assert (~seen.visible[sample.attached]).sum() > 3
     fixed = seen.visible.copy()
     fixed[sample.attached] = True
     nodes, tets = sample.vertices.astype(np.float64), sample.tets.astype(np.int64)
@@ -106,6 +107,15 @@ def test_finite_elements_find_what_no_hidden_force_acts_on(samples):
     assert np.array_equal(case.visible, seen.visible)
     assert mean_error(case, rigid_displacement(case)) > 5e-4
     assert mean_error(case, finite_element_displacement(case)) < 2e-6
+
+
+def test_finite_elements_hold_attached_vertices_that_are_seen_to_move(samples):
+    case = case_of(samples[0], dataclasses.replace(WHOLE, noise_m=0.0005))
+    attached = np.flatnonzero(case.organ.attached)
+    displacement = finite_element_displacement(case)
+    assert (displacement[attached] == 0.0).all()
+    noise = np.linalg.norm(displacement - case.truth, axis=1)[case.visible]
+    assert noise[~case.organ.attached[np.flatnonzero(case.visible)]].min() > 0.0
 
 
 def test_finite_elements_need_tetrahedra(samples):
@@ -210,6 +220,10 @@ def test_pressure_counts_as_load(samples):
     visible = np.zeros(len(sample.vertices), dtype=bool)
     visible[sample.faces[face, 0]] = True
     assert load_seen_share(pressed, visible) == pytest.approx(1.0 / 3.0)
+    # A force as large as the whole pressure's, elsewhere and out of sight.
+    pushed = np.zeros_like(sample.force)
+    pushed[np.setdiff1d(free, sample.faces[face])[0]] = [0, 0, 100.0 * face_areas(sample.surface)[face]]
+    assert load_seen_share(dataclasses.replace(pressed, force=pushed), visible) == pytest.approx(1.0 / 6.0)
 
 
 def test_patches_start_anywhere(samples):

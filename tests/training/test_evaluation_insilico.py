@@ -19,7 +19,7 @@ from softtissue_training.archive import pack, record_name, write_record
 from softtissue_training.cli import main
 from softtissue_training.errors import SolverDivergedError
 from softtissue_training.evaluation import figures, methods, runner
-from softtissue_training.evaluation.insilico import evaluate_in_silico, simulated_organs
+from softtissue_training.evaluation.insilico import SimulatedOrgan, evaluate_in_silico, simulated_organs
 from softtissue_training.evaluation.methods import parse_methods
 from softtissue_training.evaluation.observe import ObservationSettings
 from softtissue_training.evaluation.runner import evaluate
@@ -131,6 +131,12 @@ def test_finished_answers_are_not_computed_again(data_folder, tmp_path, method, 
     run(data_folder, tmp_path, "counted", ObservationSettings(noise_m=0.001), count=1)
     run(data_folder, tmp_path, "counted", count=1, seed=1)
     assert asked[4:] == ["organ_000000", "organ_000000"]
+
+
+def test_a_finished_evaluation_makes_no_case_again(data_folder, tmp_path, no_figures, monkeypatch):
+    run(data_folder, tmp_path, "zero", count=2)
+    monkeypatch.setattr(SimulatedOrgan, "cases", lambda self: pytest.fail("made again"))
+    assert "2 of 2 samples compared" in run(data_folder, tmp_path, "zero", count=2)
 
 
 def test_an_interrupted_evaluation_goes_on(data_folder, tmp_path, method, no_figures):
