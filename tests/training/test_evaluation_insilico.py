@@ -205,6 +205,8 @@ def test_what_is_seen_depends_on_the_record_alone(data_folder, tmp_path, no_figu
     run(data_folder, tmp_path / "all", "rigid")
     run(data_folder, tmp_path / "last", "rigid", skip=4, count=2)
     assert untimed(tmp_path / "last") == untimed(tmp_path / "all")[4:]
+    shares = [float(row["visible_share"]) for row in rows(tmp_path / "all")]
+    assert np.ptp(shares) > 0.1
 
 
 def test_a_failing_estimator_is_reported_and_compared_for_nobody(data_folder, tmp_path, method, no_figures):
