@@ -121,7 +121,11 @@ def organ_channels(surface: SurfaceMesh, attached: NDArray[np.bool_], spec: Netw
     attached
         (n,) true for the attached vertices of the surface.
     """
-    grid = organ_grid(surface, spec)
+    return channels_on_grid(organ_grid(surface, spec), surface, attached)
+
+
+def channels_on_grid(grid: VoxelGrid, surface: SurfaceMesh, attached: NDArray[np.bool_]) -> OrganChannels:
+    """Compute signed distance and zero-displacement flag on a given grid; parameters as of `organ_channels`."""
     distance = torch.from_numpy(signed_distance(surface, grid.points())).float().reshape(grid.shape)
     return OrganChannels(grid, distance, zero_displacement(grid, surface, attached))
 

@@ -7,7 +7,9 @@ import torch
 from softtissue_estimator.grid import VoxelGrid
 from softtissue_estimator.network_input import NetworkSpec
 from softtissue_training.augment import exchange_axes, flip, random_orientation
-from softtissue_training.dataset import batches, draw_visible, prepare, voxelise
+from softtissue_training.batch_order import epoch_batches
+from softtissue_training.box import crop, draw_box, draw_growth, own_box
+from softtissue_training.dataset import draw_visible, prepare, voxelise, voxelise_many
 from softtissue_training.voxel_target import voxel_displacement
 
 from .conftest import LINEAR
@@ -81,13 +83,81 @@ def _faces_of(prepared, points):
     return [index[tuple(point.tolist())] for point in points]
 
 
-def test_batches_use_every_sample_once_and_join_only_grids_that_fit(samples):
-    prepared = [prepare(sample, SPEC) for sample in samples] * 3
-    drawn = list(batches(prepared, 2, np.random.default_rng(2)))
+def test_batches_use_every_sample_once_and_join_only_one_kind():
+    kinds = [(24, 16, 16), (16, 16, 16)] * 9
+    drawn = epoch_batches(kinds, 4, np.random.default_rng(2))
     assert sorted(index for batch in drawn for index in batch) == list(range(18))
-    assert max(len(batch) for batch in drawn) == 2
-    for batch in drawn:
-        assert len({tuple(sorted(prepared[index].grid.shape)) for index in batch}) == 1
+    assert [len(batch) for batch in sorted(drawn, key=len)] == [1, 1, 4, 4, 4, 4]
+    assert all(len({kinds[index] for index in batch}) == 1 for batch in drawn)
+    assert drawn != epoch_batches(kinds, 4, np.random.default_rng(3))
+    assert drawn == epoch_batches(kinds, 4, np.random.default_rng(2))
+
+
+def test_samples_voxelised_together_are_those_voxelised_alone(samples):
+    prepared = [prepare(sample, SPEC, surroundings=True) for sample in samples[:3]]
+    assert len({sample.grid.shape for sample in prepared}) == 1
+    seen = [draw_visible(sample, np.random.default_rng(8), (0.3, 0.3)) for sample in prepared]
+    for sample, view, voxels in zip(prepared, seen, voxelise_many(prepared, seen, SPEC, CPU), strict=True):
+        for together, alone in zip(voxels, voxelise(sample, *view, SPEC, CPU), strict=True):
+            torch.testing.assert_close(together, alone, rtol=0, atol=0)
+
+
+def test_noise_has_the_deviation_asked_for_on_every_component(samples):
+    prepared = prepare(samples[1], SPEC)
+    clean = draw_visible(prepared, np.random.default_rng(3), (0.9, 0.9))
+    noisy = draw_visible(prepared, np.random.default_rng(3), (0.9, 0.9), noise_m=(0.002, 0.002))
+    torch.testing.assert_close(noisy[0], clean[0], rtol=0, atol=0)
+    noise = noisy[1] - clean[1]
+    assert len(noise) > 2000
+    np.testing.assert_allclose(noise.std(dim=0), 0.002, rtol=0.05)
+    assert torch.corrcoef(noise.T).triu(1).abs().max() < 0.1
+
+
+def test_sparse_correspondences_are_points_of_the_patch(samples):
+    prepared = prepare(samples[1], SPEC)
+    counts = set()
+    for seed in range(20):
+        patch, moved = draw_visible(prepared, np.random.default_rng(seed), (0.3, 0.3))
+        points, displacement = draw_visible(
+            prepared, np.random.default_rng(seed), (0.3, 0.3), correspondences=(5, 40)
+        )
+        index = {tuple(point): row for row, point in enumerate(patch.tolist())}
+        rows = [index[tuple(point)] for point in points.tolist()]
+        assert len(set(rows)) == len(points)
+        torch.testing.assert_close(displacement, moved[rows], rtol=0, atol=0)
+        counts.add(len(points))
+    assert 5 <= min(counts) < 12 and 20 < max(counts) <= 40
+
+
+def test_the_middle_of_the_surroundings_is_the_box_of_the_estimator(samples):
+    for sample in samples[:3]:
+        alone, around = prepare(sample, SPEC), prepare(sample, SPEC, surroundings=True)
+        assert around.box == alone.box == alone.grid.shape
+        assert around.grid.shape == (32, 32, 32)
+        seen = draw_visible(alone, np.random.default_rng(4), (0.5, 0.5))
+        cut = crop(voxelise(around, *seen, SPEC, CPU), own_box(around.box, around.grid.shape))
+        for part, whole in zip(cut, voxelise(alone, *seen, SPEC, CPU), strict=True):
+            torch.testing.assert_close(part, whole, atol=1e-4, rtol=0)
+
+
+def test_boxes_that_grow_contain_the_organ_and_reach_the_whole_cube():
+    rng = np.random.default_rng(5)
+    box, grid = (16, 24, 16), (32, 32, 32)
+    growths = {draw_growth([box], [grid], 0.7, 8, rng) for _ in range(60)}
+    assert growths == {0, 8, 16}
+    assert draw_box(box, grid, 0, rng) == own_box(box, grid) == (slice(8, 24), slice(4, 28), slice(8, 24))
+    firsts = set()
+    for _ in range(60):
+        parts = draw_box(box, grid, 8, rng)
+        assert [part.stop - part.start for part in parts] == [24, 32, 24]
+        assert all(
+            part.start <= own.start and own.stop <= part.stop
+            for part, own in zip(parts, own_box(box, grid), strict=True)
+        )
+        firsts.add(parts[0].start)
+    assert firsts == set(range(9))
+    assert draw_box(box, grid, 16, rng) == (slice(0, 32),) * 3
+    assert draw_growth([grid], [grid], 1.0, 8, rng) == 0
 
 
 def _mirrored(sample, axis):
@@ -150,5 +220,20 @@ def test_random_orientation_keeps_input_target_and_mask_together(samples):
         )
         seen = shown != 0
         assert torch.corrcoef(torch.stack([shown[seen], wanted[seen]]))[0, 1] > 0.9
-        results.add(round(float(inputs.flatten()[: inputs.numel() // 3].sum()), 3))
+        results.add(inputs.numpy().tobytes())
     assert len(results) > 4
+
+
+def test_mirrored_copies_keep_the_axes_and_one_orientation_changes_nothing(samples):
+    prepared = prepare(samples[3], SPEC, surroundings=True)
+    voxels = voxelise(prepared, *draw_visible(prepared, np.random.default_rng(5), (1.0, 1.0)), SPEC, CPU)
+    shape = prepared.grid.shape
+    distances = voxels[0][0, 0]
+    mirrored = [distances.flip(axes) for axes in ((), (0,), (1,), (2,), (0, 1), (0, 2), (1, 2), (0, 1, 2))]
+    found = set()
+    for seed in range(40):
+        turned = random_orientation(*voxels, np.random.default_rng(seed), shape, orientations=8)[0][0, 0]
+        found.add(next(number for number, copy in enumerate(mirrored) if torch.equal(copy, turned)))
+    assert found == set(range(8))
+    same = random_orientation(*voxels, np.random.default_rng(0), shape, orientations=1)
+    assert all(torch.equal(one, other) for one, other in zip(same, voxels, strict=True))

@@ -2,7 +2,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from softtissue_training.loss import multi_resolution_loss
+from softtissue_training.loss import multi_resolution_loss, sample_losses
 
 
 def _problem():
@@ -49,3 +49,24 @@ def test_empty_coarse_cells_do_not_spoil_the_gradient():
     multi_resolution_loss([output], torch.ones(1, 3, 8, 8, 8) * mask, mask).backward()
     assert torch.isfinite(output.grad).all()
     assert (output.grad != 0).sum() == 3
+
+
+def test_loss_of_a_sample_does_not_depend_on_its_box_or_its_batch():
+    target, mask = _problem()
+    generator = torch.Generator().manual_seed(3)
+    outputs = [
+        torch.randn(2, 3, *(cells // factor for cells in (16, 8, 8)), generator=generator)
+        for factor in (1, 4)
+    ]
+    losses = sample_losses(outputs, target, mask, cells=4096.0)
+    wider = [functional.pad(tensor, (8, 0, 0, 8, 8, 8)) for tensor in (target, mask)]
+    padded = [
+        functional.pad(output, tuple(cells // factor for cells in (8, 0, 0, 8, 8, 8)))
+        for output, factor in zip(outputs, (1, 4), strict=True)
+    ]
+    torch.testing.assert_close(sample_losses(padded, *wider, cells=4096.0), losses)
+    for number in range(2):
+        part = slice(number, number + 1)
+        alone = multi_resolution_loss([output[part] for output in outputs], target[part], mask[part], 4096.0)
+        torch.testing.assert_close(alone, losses[number])
+    assert abs(float(losses[0] - losses[1])) > 1e-3

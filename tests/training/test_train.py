@@ -1,21 +1,26 @@
+"""Training as a whole: what a run leaves, how it ends, and that an interruption changes nothing."""
+
 import csv
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 
 from softtissue_estimator.checkpoint import load_checkpoint
 from softtissue_estimator.errors import CheckpointError, InvalidInputError
-from softtissue_estimator.network import UNet, initialise
-from softtissue_training.dataset import draw_visible, prepare, voxelise
-from softtissue_training.loss import multi_resolution_loss
-from softtissue_training.precision import restrict_autocast
-from softtissue_training.simulation_set import SimulationSet
-from softtissue_training.train import CONFIG, LOG, STATE, WEIGHTS, RunOptions, learning_rate, train
+from softtissue_training.cli import main
+from softtissue_training.run_files import CONFIG, LOG, LOSS, STATE, WEIGHTS
+from softtissue_training.run_summary import SUMMARY
+from softtissue_training.schedule import Schedule
+from softtissue_training.train import RunOptions, train
 from softtissue_training.training_config import get_config
-from softtissue_training.training_state import Progress, load_state, save_state
-from softtissue_training.validation import Validation
 
 TINY = get_config("tiny")
 
@@ -28,163 +33,185 @@ def _one_thread():
     torch.set_num_threads(before)
 
 
-def test_a_small_network_learns_one_sample_by_heart(samples):
-    prepared = prepare(samples[0], TINY.spec)
-    visible = draw_visible(prepared, np.random.default_rng(0), (0.5, 0.5))
-    inputs, target, mask = voxelise(prepared, *visible, TINY.spec, torch.device("cpu"))
-    network = UNet(TINY.spec.architecture)
-    initialise(network, inputs, generator=torch.Generator().manual_seed(0))
-    optimiser = torch.optim.Adam(network.parameters(), lr=1e-2)
-    losses = []
-    for _ in range(300):
-        loss = multi_resolution_loss(network.forward_all(inputs), target, mask)
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        losses.append(float(loss.detach()))
-    assert losses[-1] < losses[0] / 10
+def _rows(path):
+    return list(csv.DictReader(path.read_text().splitlines()))
 
 
-def test_run_writes_weights_settings_and_log_and_can_go_on(data_folder, tmp_path):
-    first = train(
-        data_folder, tmp_path, TINY, RunOptions(time_limit_s=1.5, validate_every_s=0.5, command="test")
-    )
-    rows = list(csv.DictReader((tmp_path / LOG).read_text().splitlines()))
+def test_run_leaves_weights_settings_curves_and_summary(data_folder, tmp_path):
+    schedule = Schedule(steps=9, validate_every_steps=3)
+    summary = train(data_folder, tmp_path, TINY, schedule, RunOptions(command="test"))
+    log, losses = _rows(tmp_path / LOG), _rows(tmp_path / LOSS)
+    assert [int(row["step"]) for row in losses] == list(range(1, 10))
+    assert [int(row["step"]) for row in log] == [3, 6, 9]
+    for row in log:
+        last = [float(r["loss"]) for r in losses if int(row["step"]) - 3 < int(r["step"]) <= int(row["step"])]
+        assert float(row["loss"]) == pytest.approx(sum(last) / 3, abs=1e-6)
+    best = min(log, key=lambda row: float(row["error_mm"]))
+    stored = json.loads((tmp_path / SUMMARY).read_text())
+    assert stored["validation_error_mm"] == pytest.approx(float(best["error_mm"]))
+    assert stored["best_step"] == int(best["step"])
+    assert stored["rigid_error_mm"] < stored["no_estimate_error_mm"]
+    # Of six organs, numbers 0 and 4 are held out.
+    assert (stored["organs"], stored["training_samples"], stored["held_out_samples"]) == (6, 4, 2)
+    assert (stored["steps"], stored["ended_by"], stored["seed"]) == (9, "steps", 1)
+    assert stored["versions"]["torch"] == torch.__version__
+    assert all(part in summary.text() for part in (stored["data_sha256"][:16], str(data_folder), "seed 1"))
     checkpoint = load_checkpoint(tmp_path / WEIGHTS)
-    assert len(rows) >= 2
-    assert float(rows[-1]["error_mm"]) == pytest.approx(1e3 * first.error, abs=1e-3)
     assert checkpoint.spec == TINY.spec
-    assert checkpoint.provenance["simulations"] == 4  # of 6, numbers 0 and 4 are held out
-    best = min(float(row["error_mm"]) for row in rows)
-    assert checkpoint.provenance["validation_error_mm"] == pytest.approx(best)
+    assert checkpoint.provenance["validation_error_mm"] == pytest.approx(float(best["error_mm"]))
+    assert checkpoint.provenance["data_sha256"] == stored["data_sha256"]
     assert json.loads((tmp_path / CONFIG).read_text())["name"] == "tiny"
 
-    train(data_folder, tmp_path, TINY, RunOptions(time_limit_s=2.5, validate_every_s=0.5))
-    more = list(csv.DictReader((tmp_path / LOG).read_text().splitlines()))
+
+def test_run_ends_at_its_time_limit_and_goes_on_later(data_folder, tmp_path):
+    def run(seconds):
+        return train(data_folder, tmp_path, TINY, Schedule(time_limit_s=seconds, validate_every_s=0.4))
+
+    summary = run(1.0)
+    rows = _rows(tmp_path / LOG)
+    assert summary.ended_by == "time limit"
+    assert (tmp_path / WEIGHTS).is_file()
+    assert 1.0 <= float(rows[-1]["seconds"]) < 10.0
+    assert float(rows[-1]["learning_rate"]) < 0.01 * TINY.learning_rate
+    run(2.0)
+    more = _rows(tmp_path / LOG)
     assert [row["step"] for row in more[: len(rows)]] == [row["step"] for row in rows]
     assert int(more[-1]["step"]) > int(rows[-1]["step"])
-    assert float(more[-1]["seconds"]) >= 2.5
+    steps = [int(row["step"]) for row in _rows(tmp_path / LOSS)]
+    assert steps == list(range(1, steps[-1] + 1))
 
 
-def test_state_restores_weights_average_optimiser_and_progress(tmp_path):
-    def trained(seed):
-        torch.manual_seed(seed)
-        network = UNet(TINY.spec.architecture)
-        optimiser = torch.optim.Adam(network.parameters(), lr=1e-2)
-        for _ in range(2):
-            optimiser.zero_grad()
-            network(torch.randn(1, 5, 8, 8, 8)).square().mean().backward()
-            optimiser.step()
-        return network, UNet(TINY.spec.architecture), optimiser
-
-    one, average, optimiser = trained(1)
-    other, other_average, other_optimiser = trained(2)
-    save_state(tmp_path / STATE, one, average, optimiser, Progress(step=7, best_error=0.5), TINY.to_json())
-    progress = load_state(tmp_path / STATE, other, other_average, other_optimiser, TINY.to_json())
-    assert (progress.step, progress.best_error) == (7, 0.5)
-    batch = torch.randn(1, 5, 8, 8, 8)
-    torch.testing.assert_close(other_average(batch), average(batch))
-    for network, adam in ((one, optimiser), (other, other_optimiser)):
-        adam.zero_grad()
-        network(batch).square().mean().backward()
-        adam.step()
-    torch.testing.assert_close(other(batch), one(batch), rtol=0, atol=0)
+def test_time_limit_and_resume_do_not_change_a_run_of_given_steps(data_folder, tmp_path):
+    once, twice = tmp_path / "once", tmp_path / "twice"
+    train(data_folder, once, TINY, Schedule(steps=40, validate_every_steps=7))
+    first = train(data_folder, twice, TINY, Schedule(steps=40, validate_every_steps=7, time_limit_s=0.2))
+    assert first.ended_by == "time limit"
+    assert (twice / WEIGHTS).is_file()
+    assert train(data_folder, twice, TINY, Schedule(steps=40, validate_every_steps=7)).ended_by == "steps"
+    _assert_same_run(once, twice)
 
 
-def test_a_run_does_not_go_on_with_other_settings(data_folder, tmp_path):
-    train(data_folder, tmp_path, TINY, RunOptions(time_limit_s=0.2))
+def _assert_same_run(one: Path, other: Path) -> None:
+    assert (one / LOSS).read_text() == (other / LOSS).read_text()
+    ours, theirs = _rows(one / LOG), _rows(other / LOG)
+    for row in (*ours, *theirs):
+        del row["seconds"]
+    assert ours == theirs
+    for name in (WEIGHTS, STATE):
+        expected, got = load_file(one / name), load_file(other / name)
+        assert expected.keys() == got.keys()
+        for key, tensor in expected.items():
+            assert torch.equal(tensor, got[key]), key
+
+
+def test_killed_and_resumed_run_leaves_the_same_curve_as_an_undisturbed_one(data_folder, tmp_path):
+    once, killed = tmp_path / "once", tmp_path / "killed"
+    arguments = ["train", "--data", str(data_folder), "--config", "tiny", "--steps", "150"]
+    arguments += ["--validate-every", "10", "--threads", "1", "--device", "cpu", "--noise", "0", "2"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "softtissue_training", *arguments, "--out", str(killed)],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    end = time.monotonic() + 100.0
+    try:
+        while not ((killed / LOSS).exists() and len((killed / LOSS).read_text().splitlines()) > 36):
+            assert process.poll() is None and time.monotonic() < end
+            time.sleep(0.002)
+    finally:
+        process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    reached = len(_rows(killed / LOSS))
+    assert 36 <= reached < 150
+    # What a kill in the middle of a row leaves.
+    with (killed / LOSS).open("a") as stream:
+        stream.write(str(reached + 1)[:1])
+    assert main([*arguments, "--out", str(killed), "--resume"]) == 0
+    assert main([*arguments, "--out", str(once)]) == 0
+    assert len(_rows(once / LOSS)) == 150
+    _assert_same_run(once, killed)
+
+
+def test_run_ends_when_validation_no_longer_improves(data_folder, tmp_path):
+    # A vanishing learning rate, so that nothing improves after the first validation.
+    config = get_config("tiny", learning_rate=1e-30)
+    summary = train(data_folder, tmp_path, config, Schedule(patience=3, validate_every_steps=2))
+    assert summary.ended_by == "no improvement"
+    assert [int(row["step"]) for row in _rows(tmp_path / LOG)] == [2, 4, 6, 8]
+    assert (summary.steps, summary.best_step) == (8, 2)
+
+
+def test_signal_of_a_scheduler_ends_a_run_cleanly(data_folder, tmp_path):
+    class Ended(Schedule):
+        def learning_rate(self, config, progress):
+            if progress.step == 5:
+                os.kill(os.getpid(), signal.SIGTERM)
+            return super().learning_rate(config, progress)
+
+    summary = train(data_folder, tmp_path, TINY, Ended(steps=1000, validate_every_steps=100))
+    assert (summary.ended_by, summary.steps) == ("stopped", 6)
+    assert (tmp_path / WEIGHTS).is_file() and (tmp_path / STATE).is_file()
+
+
+def test_a_run_does_not_go_on_with_other_settings_or_data(data_folder, tmp_path):
+    out, other = tmp_path / "run", tmp_path / "other"
+    train(data_folder, out, TINY, Schedule(steps=2))
     with pytest.raises(CheckpointError, match="batch_size: expected 2, got 3"):
-        train(data_folder, tmp_path, get_config("tiny", batch_size=3), RunOptions(time_limit_s=0.4))
-    train(data_folder, tmp_path, get_config("tiny", learning_rate=1e-5), RunOptions(time_limit_s=0.4))
+        train(data_folder, out, get_config("tiny", batch_size=3), Schedule(steps=4))
+    train(data_folder, out, get_config("tiny", learning_rate=1e-5), Schedule(steps=4))
+    other.mkdir()
+    for path in sorted(data_folder.iterdir())[:5]:
+        (other / path.name).write_bytes(path.read_bytes())
+    with pytest.raises(CheckpointError, match="with the data it began with.*--watch"):
+        train(other, out, TINY, Schedule(steps=6))
+    assert train(other, out, TINY, Schedule(steps=6), RunOptions(watch=True)).steps == 6
+
+
+def test_watched_data_are_used_as_they_come(data_folder, tmp_path):
+    records = sorted(data_folder.iterdir())
+    data = tmp_path / "sims"
+    data.mkdir()
+    for path in records[:5]:
+        (data / path.name).write_bytes(path.read_bytes())
+
+    class Growing(Schedule):
+        def learning_rate(self, config, progress):
+            (data / records[5].name).write_bytes(records[5].read_bytes())
+            return super().learning_rate(config, progress)
+
+    schedule = Growing(steps=4, validate_every_steps=2)
+    for watch, samples in ((False, ["3", "3"]), (True, ["3", "4"])):
+        (data / records[5].name).unlink(missing_ok=True)
+        out = tmp_path / str(watch)
+        train(data, out, TINY, schedule, RunOptions(watch=watch))
+        assert [row["samples"] for row in _rows(out / LOG)] == samples
 
 
 def test_too_little_data_is_refused(tmp_path):
     (tmp_path / "sims").mkdir()
-    with pytest.raises(InvalidInputError, match="at least 5 simulations, got 0"):
-        train(tmp_path / "sims", tmp_path / "out", TINY, RunOptions(time_limit_s=1.0))
+    with pytest.raises(InvalidInputError, match="at least 5 organs, got 0"):
+        train(tmp_path / "sims", tmp_path / "out", TINY, Schedule(steps=1))
 
 
-class _Known(torch.nn.Module):
-    """A network that answers with one displacement everywhere, in units of the specification."""
+def test_curves_for_tensorboard_are_those_of_the_csv_files(data_folder, tmp_path):
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    def __init__(self, displacement):
-        super().__init__()
-        self.displacement = torch.tensor(displacement).view(1, 3, 1, 1, 1)
-
-    def forward(self, inputs):
-        return self.displacement.expand(-1, -1, *inputs.shape[2:])
-
-
-def test_validation_measures_metres_inside_the_organ(linear_sample):
-    prepared = prepare(linear_sample, TINY.spec)
-    rng = np.random.default_rng(6)
-    measure = Validation([prepared], TINY.spec, (1.0, 1.0), rng, torch.device("cpu"))
-    result = measure(_Known([0.0, 0.0, 0.0]))
-    assert result.error == pytest.approx(result.displacement, rel=1e-3)
-    inside = (prepared.signed_distance <= 0).reshape(-1).numpy()
-    truth = prepared.target.reshape(-1, 3).double().numpy()[inside]
-    shift = np.array([0.01, -0.02, 0.005])
-    expected = np.linalg.norm(truth - shift, axis=1).mean()
-    scaled = (shift / TINY.spec.output_scale).astype(np.float32).tolist()
-    assert measure(_Known(scaled)).error == pytest.approx(expected, rel=1e-3)
-    assert result.rigid_error < result.displacement
-
-
-def test_rigid_motion_is_found_by_the_rigid_fit(samples):
-    import dataclasses
-
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_rotvec([0.1, -0.2, 0.15]).as_matrix()
-    vertices = samples[2].vertices.astype(np.float64)
-    moved = dataclasses.replace(
-        samples[2], displacement=(vertices @ turn.T + [0.01, 0.0, -0.02] - vertices).astype(np.float32)
+    schedule = Schedule(steps=4, validate_every_steps=2)
+    train(data_folder, tmp_path, TINY, schedule, RunOptions(tensorboard=True))
+    events = EventAccumulator(str(tmp_path / "tensorboard"))
+    events.Reload()
+    losses = [(event.step, event.value) for event in events.Scalars("loss")]
+    assert [step for step, _ in losses] == [1, 2, 3, 4]
+    assert [value for _, value in losses] == pytest.approx(
+        [float(row["loss"]) for row in _rows(tmp_path / LOSS)]
     )
-    measure = Validation(
-        [prepare(moved, TINY.spec)], TINY.spec, (0.3, 0.3), np.random.default_rng(7), torch.device("cpu")
-    )
-    result = measure(_Known([0.0, 0.0, 0.0]))
-    assert result.displacement > 0.01
-    assert result.rigid_error < 1e-4
+    errors = [event.value for event in events.Scalars("validation/error mm")]
+    assert errors == pytest.approx([float(row["error_mm"]) for row in _rows(tmp_path / LOG)], abs=1e-3)
 
 
-def test_learning_rate_rises_and_falls():
-    config = get_config("tiny", learning_rate=1.0, warmup_steps=10)
-    rates = [learning_rate(config, step, step / 100) for step in range(101)]
-    assert rates[0] == pytest.approx(0.1)
-    assert np.argmax(rates) == 9
-    assert rates[-1] == pytest.approx(0.0)
-
-
-def test_bfloat16_gradients_agree_with_float32(samples):
-    # Wide enough, and coarse enough at the bottom, for the garbage that `restrict_autocast` avoids.
-    prepared = prepare(samples[0], TINY.spec)
-    visible = draw_visible(prepared, np.random.default_rng(0), (0.5, 0.5))
-    inputs, target, mask = voxelise(prepared, *visible, TINY.spec, torch.device("cpu"))
-    network = UNet()
-    initialise(network, inputs, generator=torch.Generator().manual_seed(0))
-    restrict_autocast(network, torch.device("cpu"))
-
-    def gradients(enabled):
-        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=enabled):
-            outputs = network.forward_all(inputs)
-        return torch.autograd.grad(multi_resolution_loss(outputs, target, mask), list(network.parameters()))
-
-    exact = gradients(False)
-    for _ in range(5):
-        for rough, fine in zip(gradients(True), exact, strict=True):
-            assert float((rough - fine).norm()) < 0.15 * float(fine.norm()) + 1e-6
-
-
-def test_voxelising_in_processes_gives_the_same_samples(data_folder):
-    here, there = SimulationSet(data_folder, TINY), SimulationSet(data_folder, TINY, workers=2)
-    here.rescan()
-    there.rescan()
-    assert (len(here.training), len(here.held_out)) == (4, 2)
-    assert here.digest() == there.digest()
-    for ours, theirs in zip(here.training + here.held_out, there.training + there.held_out, strict=True):
-        torch.testing.assert_close(ours.target, theirs.target, rtol=0, atol=0)
-    before = here.training[0]
-    here.rescan()
-    assert here.training[0] is before
-    assert len(here.training) == 4
+def test_without_tensorboard_one_sentence_says_what_to_install(data_folder, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    with pytest.raises(InvalidInputError, match=r'pip install "softtissue-training\[tensorboard\]"'):
+        train(data_folder, tmp_path, TINY, Schedule(steps=1), RunOptions(tensorboard=True))

@@ -38,7 +38,13 @@ def exchange_axes(inputs: Tensor, target: Tensor, order: tuple[int, int, int]) -
 
 
 def random_orientation(
-    inputs: Tensor, target: Tensor, mask: Tensor, rng: np.random.Generator, shape: tuple[int, ...]
+    inputs: Tensor,
+    target: Tensor,
+    mask: Tensor,
+    rng: np.random.Generator,
+    shape: tuple[int, ...],
+    *,
+    orientations: int = 48,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Mirror and turn a sample at random, so that its grid has the given shape.
 
@@ -48,11 +54,15 @@ def random_orientation(
         (B, 1, X, Y, Z).
     shape
         Wanted cell counts; an order of the sample's own.
+    orientations
+        48: axes are exchanged as well as mirrored; 8: mirrored; 1: the sample as it is. With the latter two, the shape
+        must be the sample's.
     """
     cells = tuple(inputs.shape[2:])
-    fitting = [order for order in AXIS_ORDERS if tuple(cells[axis] for axis in order) == shape]
+    orders = AXIS_ORDERS if orientations == 48 else AXIS_ORDERS[:1]
+    fitting = [order for order in orders if tuple(cells[axis] for axis in order) == shape]
     order = fitting[rng.integers(len(fitting))]
-    axes = tuple(axis for axis in range(3) if rng.random() < 0.5)
+    axes = tuple(axis for axis in range(3) if orientations > 1 and rng.random() < 0.5)
     inputs, target = exchange_axes(inputs, target, (order[0], order[1], order[2]))
     mask = mask.permute(0, 1, *(2 + axis for axis in order)).flip([2 + axis for axis in axes])
     inputs, target = flip(inputs, target, axes)

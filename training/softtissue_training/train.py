@@ -1,46 +1,31 @@
-"""Training of the network: Adam on the paper's loss, within a given time."""
+"""Training of the network: Adam on the paper's loss until its steps, its time or its improvement are over."""
 
 from __future__ import annotations
 
-import copy
-import csv
-import json
 import math
+import threading
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import torch
-from torch import Tensor
 from tqdm import tqdm
 
-from softtissue_estimator.checkpoint import save_checkpoint
-from softtissue_estimator.network import UNet, initialise
-from softtissue_training.augment import random_orientation
-from softtissue_training.dataset import PreparedSample, batches, draw_visible, voxelise
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_training.batch_source import BatchSource, fixed_view
+from softtissue_training.dataset import draw_visible, voxelise
+from softtissue_training.distributed import Ranks
 from softtissue_training.errors import TrainingFailedError
-from softtissue_training.loss import multi_resolution_loss
-from softtissue_training.precision import restrict_autocast
+from softtissue_training.learner import Batch, Learner
+from softtissue_training.run_files import STATE, RunFiles
+from softtissue_training.run_summary import RunSummary, summarise
+from softtissue_training.schedule import Schedule
 from softtissue_training.simulation_set import SimulationSet
+from softtissue_training.stop_signal import ended_by_signal
+from softtissue_training.streams import Purpose, stream
 from softtissue_training.training_config import TrainingConfig
-from softtissue_training.training_state import Progress, load_state, save_state
+from softtissue_training.training_state import Progress, load_state
 from softtissue_training.validation import Validation, ValidationResult
-
-WEIGHTS, STATE, CONFIG, LOG = "best.safetensors", "state.safetensors", "config.json", "log.csv"
-_COLUMNS = (
-    "step",
-    "seconds",
-    "samples",
-    "learning_rate",
-    "loss",
-    "error_mm",
-    "displacement_mm",
-    "rigid_error_mm",
-)
-_CLIP_NORM = 1.0
 
 
 @dataclass(frozen=True)
@@ -49,223 +34,258 @@ class RunOptions:
 
     Attributes
     ----------
-    time_limit_s
-        Time for learning and validation over all parts of the run, seconds; preparing the data is not counted.
-    validate_every_s
-        Time between validations, each with a checkpoint and a look for new simulations, seconds.
     device
         Torch device.
-    mixed_precision
+    bfloat16
         Convolutions in bfloat16.
     workers
         Processes that voxelise simulations.
+    watch
+        Use simulations that are added meanwhile; the run can then not be repeated.
+    tensorboard
+        Write the curves for TensorBoard too.
     command
         Command line, for the checkpoint's provenance.
     """
 
-    time_limit_s: float
-    validate_every_s: float = 240.0
     device: str = "cpu"
-    mixed_precision: bool = False
+    bfloat16: bool = False
     workers: int = 1
+    watch: bool = False
+    tensorboard: bool = False
     command: str = ""
 
 
-def train(data: Path, out: Path, config: TrainingConfig, options: RunOptions) -> ValidationResult:
-    """Train until the time is over; a folder that holds an unfinished run goes on with it.
+def train(
+    data: Path,
+    out: Path,
+    config: TrainingConfig,
+    schedule: Schedule,
+    options: RunOptions | None = None,
+    ranks: Ranks | None = None,
+) -> RunSummary:
+    """Train to the end of the schedule; a folder that holds an unfinished run goes on with it.
 
     Parameters
     ----------
     data
         Folder written by `generate`, or file written by `pack`.
     out
-        Folder for `best.safetensors`, `state.safetensors`, `config.json` and `log.csv`.
+        Folder for the weights, the state, the settings, the curves and the summary.
+    ranks
+        The processes that train together; each of them calls this with the same arguments.
 
-    Returns
-    -------
-    ValidationResult
-        Of the last validation.
+    Raises
+    ------
+    InvalidInputError
+        The data are too few, or not the same in all processes.
+    CheckpointError
+        The folder holds a run with other settings or data.
+    TrainingFailedError
+        Too many gradients are not finite.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    (out / CONFIG).write_text(json.dumps(config.to_json(), indent=2))
-    dataset = SimulationSet(data, config, options.workers)
+    options, ranks = options or RunOptions(), ranks or Ranks()
+    if options.watch and ranks.size > 1:
+        raise InvalidInputError(
+            f"data can be watched by one process alone, got {ranks.size}; leave --watch out"
+        )
+    dataset = SimulationSet(data, config, options.workers, show_progress=ranks.writes)
     dataset.rescan()
-    run = _Run(out, config, options, dataset)
-    return run.until_time_is_over()
+    digests = ranks.gather(dataset.digest())
+    if len(set(digests)) > 1:
+        raise InvalidInputError(f"all processes must read the same data, got SHA-256 {', '.join(digests)}")
+    out.mkdir(parents=True, exist_ok=True)
+    run = _Run(out, config, schedule, options, ranks, dataset)
+    try:
+        with ended_by_signal(run.stop):
+            result = run.to_the_end()
+    finally:
+        if run.files is not None:
+            run.files.close()
+    summary = summarise(data, dataset, config, run.progress, result, schedule.reason(run.progress))
+    if ranks.writes:
+        summary.write(out)
+    return summary
 
 
 class _Run:
-    """Network, optimiser and clock of one training run."""
+    """Learner, clock and files of one training run."""
 
     def __init__(
-        self, out: Path, config: TrainingConfig, options: RunOptions, dataset: SimulationSet
+        self,
+        out: Path,
+        config: TrainingConfig,
+        schedule: Schedule,
+        options: RunOptions,
+        ranks: Ranks,
+        dataset: SimulationSet,
     ) -> None:
-        self.out, self.config, self.options, self.dataset = out, config, options, dataset
-        self.device = torch.device(options.device)
-        self.network = UNet(config.spec.architecture).to(self.device)
-        self.average = copy.deepcopy(self.network).requires_grad_(False)
-        restrict_autocast(self.network, self.device)
-        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
-        self.progress = Progress()
-        if (out / STATE).exists():
-            self.progress = load_state(
-                out / STATE, self.network, self.average, self.optimiser, config.to_json()
+        self.config, self.schedule, self.ranks, self.dataset = config, schedule, ranks, dataset
+        self.watch, self.device = options.watch, torch.device(options.device)
+        self.learner = Learner(config, self.device, ranks, bfloat16=options.bfloat16)
+        self.source = BatchSource(dataset, config, self.device, ranks)
+        self.stop = threading.Event()
+        self.progress = self._load(out / STATE) if (out / STATE).exists() else self._begin()
+        self.files: RunFiles | None = None
+        if ranks.writes:
+            self.files = RunFiles(
+                out,
+                config,
+                dataset,
+                self.progress,
+                command=options.command,
+                tensorboard=options.tensorboard,
             )
-        # Another stream after an interruption, or the same patches would come again.
-        self.rng = np.random.default_rng([config.seed, self.progress.step])
-        self._validation = self._make_validation()
-        if self.progress.step == 0:
-            self._initialise()
-        self._losses: list[float] = []
+        self.validation = self._make_validation()
 
-    def until_time_is_over(self) -> ValidationResult:
-        """Learn, validating and saving now and then; returns the last validation."""
-        limit = self.options.time_limit_s
-        start = time.monotonic() - self.progress.seconds
-        last_validation = time.monotonic()
-        with tqdm(total=round(limit), initial=round(self.progress.seconds), unit="s", desc="training") as bar:
-            for inputs, target, mask in self._endless_batches():
-                self._learn(inputs, target, mask)
-                self.progress.seconds = time.monotonic() - start
-                bar.update(round(min(self.progress.seconds, limit)) - bar.n)
-                if self.progress.seconds >= limit:
-                    break
-                if time.monotonic() - last_validation > self.options.validate_every_s:
+    def to_the_end(self) -> ValidationResult:
+        """Learn, validating and saving now and then, until the schedule ends the run; returns the last validation."""
+        progress, schedule = self.progress, self.schedule
+        began = time.monotonic() - progress.seconds
+        result: ValidationResult | None = None
+        batches = self.source.drawn(progress.epoch, progress.batch)
+        with self._bar() as bar:
+            while not (schedule.is_complete(progress) or schedule.is_out_of_time(progress)):
+                drawn = next(batches)
+                stopped = self._learn(self.source.voxelise(drawn), began)
+                progress.epoch, progress.batch = drawn.next_place
+                if schedule.is_validation_due(progress):
                     result = self._validate_and_save()
-                    self.dataset.rescan(limit=300)
-                    bar.set_postfix(step=self.progress.step, error_mm=f"{1e3 * result.error:.2f}")
-                    last_validation = time.monotonic()
-            return self._validate_and_save()
+                    bar.set_postfix(error_mm=f"{1e3 * result.error:.2f}", refresh=False)
+                    if self.watch:
+                        self.dataset.rescan(limit=300)
+                self._show(bar)
+                if stopped:
+                    break
+            batches.close()
+            return self._finish(result)
 
     def _make_validation(self) -> Validation:
-        rng = np.random.default_rng([self.config.seed, 0xDA7A])
-        return Validation(
-            list(self.dataset.held_out),
-            self.config.spec,
-            self.config.validation_visible_share,
-            rng,
-            self.device,
-        )
-
-    def _initialise(self) -> None:
-        """Give every layer unit variance on a batch of the largest grids, and say what was reached."""
-        largest = max(self.dataset.training[:50], key=lambda sample: sample.grid.cells)
-        points, displacement = draw_visible(largest, self.rng, self.config.visible_share)
-        example = voxelise(largest, points, displacement, self.config.spec, self.device)[0]
-        generator = torch.Generator(self.device).manual_seed(self.config.seed)
-        reached = initialise(self.network, example, generator=generator)
-        tqdm.write(
-            "output standard deviation of each layer: " + " ".join(f"{std:.2f}" for std in reached.values())
-        )
-        self.average.load_state_dict(self.network.state_dict())
-
-    def _endless_batches(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        while True:
+        config, samples = self.config, list(self.dataset.held_out)
+        if config.validation_every == 0:
             samples = list(self.dataset.training)
-            for indices in batches(samples, self.config.batch_size, self.rng):
-                yield self._batch([samples[index] for index in indices])
-                if len(self.dataset.training) > len(samples):
-                    break
+            seen = [fixed_view(sample, index, config) for index, sample in enumerate(samples)]
+        else:
+            rng = stream(config.seed, Purpose.VALIDATION)
+            seen = [draw_visible(sample, rng, config.validation_visible_share) for sample in samples]
+        return Validation(samples, seen, config.spec, self.device)
 
-    def _batch(self, samples: list[PreparedSample]) -> tuple[Tensor, Tensor, Tensor]:
-        shape: tuple[int, ...] = samples[0].grid.shape
-        if self.config.exchange_axes:
-            shape = tuple(shape[axis] for axis in self.rng.permutation(3))
-        parts = []
-        for sample in samples:
-            points, displacement = draw_visible(sample, self.rng, self.config.visible_share)
-            voxels = voxelise(sample, points, displacement, self.config.spec, self.device)
-            parts.append(random_orientation(*voxels, self.rng, shape))
-        inputs, target, mask = (torch.cat(tensors) for tensors in zip(*parts, strict=True))
-        return inputs, target, mask
-
-    def _learn(self, inputs: Tensor, target: Tensor, mask: Tensor) -> None:
-        rate = learning_rate(
-            self.config, self.progress.step, self.progress.seconds / self.options.time_limit_s
+    def _begin(self) -> Progress:
+        """Give every layer unit variance on a sample with the largest grid, and say what was reached."""
+        rng = stream(self.config.seed, Purpose.INITIALISATION)
+        largest = max(self.dataset.training[:50], key=lambda sample: math.prod(sample.box))
+        points, displacement = draw_visible(largest, rng, self.config.visible_share)
+        reached = self.learner.initialise(
+            voxelise(largest, points, displacement, self.config.spec, self.device)[0]
         )
-        for group in self.optimiser.param_groups:
-            group["lr"] = rate
-        with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.options.mixed_precision):
-            outputs = self.network.forward_all(inputs)
-        loss = multi_resolution_loss(outputs, target, mask)
-        self.optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), _CLIP_NORM)
-        if not bool(torch.isfinite(norm)):
-            self._skip(float(loss.detach()))
-            return
-        self.optimiser.step()
-        self.progress.step += 1
-        # Early weights are forgotten sooner than the decay says, or the average would start at zero output.
-        decay = min(self.config.ema_decay, (1 + self.progress.step) / (10 + self.progress.step))
-        with torch.no_grad():
-            for averaged, weight in zip(self.average.parameters(), self.network.parameters(), strict=True):
-                averaged.lerp_(weight, 1.0 - decay)
-        self._losses.append(float(loss.detach()))
+        if self.ranks.writes:
+            listed = " ".join(f"{std:.2f}" for std in reached.values())
+            tqdm.write(f"output standard deviation of each layer: {listed}")
+        return Progress()
+
+    def _load(self, path: Path) -> Progress:
+        learner, digest = self.learner, None if self.watch else self.dataset.digest()
+        return load_state(
+            path, learner.network, learner.average, learner.optimiser, self.config.to_json(), digest
+        )
+
+    def _learn(self, batch: Batch, began: float) -> bool:
+        """Make a step; returns whether a process was told to stop."""
+        progress = self.progress
+        rate = self.schedule.learning_rate(self.config, progress)
+        share = self.learner.gradient(batch)
+        # The clock is that of the process that writes, so that all of them have the same rate and the same end.
+        seconds = time.monotonic() - began if self.ranks.writes else 0.0
+        own = torch.tensor([0.0, seconds, float(self.stop.is_set())], dtype=torch.float64).to(self.device)
+        own[0] = share
+        loss, progress.seconds, stopped = self.ranks.sum(own).tolist()
+        if self.learner.update(rate, progress.step):
+            progress.step += 1
+            progress.loss_sum += loss
+            progress.loss_count += 1
+            if self.files is not None:
+                self.files.write_step(progress.step, loss, rate)
+        else:
+            self._skip(loss)
+        return bool(stopped > 0.0)
 
     def _skip(self, loss: float) -> None:
         """Leave out a step whose gradient overflowed; many of them mean that the run has failed."""
-        self.progress.skipped += 1
-        tqdm.write(f"step {self.progress.step} left out: gradient not finite (loss {loss:g})")
-        if self.progress.skipped > 10 + self.progress.step // 100:
+        progress = self.progress
+        progress.skipped += 1
+        if self.ranks.writes:
+            tqdm.write(f"step {progress.step} left out: gradient not finite (loss {loss:g})")
+        if progress.skipped > 10 + progress.step // 100:
             raise TrainingFailedError(
-                f"gradients must be finite in all but one of 100 steps, got {self.progress.skipped} that are not in "
-                f"{self.progress.step} steps; lower the learning rate or do without bfloat16"
+                f"gradients must be finite in all but one of 100 steps, got {progress.skipped} that are not in "
+                f"{progress.step} steps; lower the learning rate or do without bfloat16"
             )
 
     def _validate_and_save(self) -> ValidationResult:
-        result = self._validation(self.average)
-        if result.error < self.progress.best_error:
-            self.progress.best_error = result.error
-            save_checkpoint(self.out / WEIGHTS, self.average, self.config.spec, self._provenance(result))
-        save_state(
-            self.out / STATE, self.network, self.average, self.optimiser, self.progress, self.config.to_json()
-        )
+        progress = self.progress
+        result = self.validation(self.learner.average, self.ranks)
+        progress.without_improvement += 1
+        self._keep_if_best(result)
+        self._log(result)
+        progress.validated_step, progress.validated_seconds = progress.step, progress.seconds
+        progress.loss_sum, progress.loss_count = 0.0, 0
+        if self.files is not None:
+            self.files.save_state(self.learner, progress)
+        return result
+
+    def _finish(self, last: ValidationResult | None) -> ValidationResult:
+        """Validate at the end, if that has not been done.
+
+        A run that is stopped before its end is saved before that, and when it goes on, nothing tells it from one that
+        was not stopped, which would not have validated here.
+        """
+        progress = self.progress
+        if last is not None and progress.validated_step == progress.step:
+            return last
+        if progress.validated_step == progress.step:
+            return self.validation(self.learner.average, self.ranks)
+        if self.schedule.is_complete(progress):
+            return self._validate_and_save()
+        if self.files is not None:
+            self.files.save_state(self.learner, progress)
+        result = self.validation(self.learner.average, self.ranks)
+        self._keep_if_best(result)
         self._log(result)
         return result
 
-    def _provenance(self, result: ValidationResult) -> dict[str, Any]:
-        return {
-            "command": self.options.command,
-            "config": self.config.to_json(),
-            "simulations": len(self.dataset.training),
-            "data_sha256": self.dataset.digest(),
-            "steps": self.progress.step,
-            "seconds": round(self.progress.seconds),
-            "validation_error_mm": round(1e3 * result.error, 3),
-            "validation_displacement_mm": round(1e3 * result.displacement, 3),
-            "validation_rigid_error_mm": round(1e3 * result.rigid_error, 3),
-        }
+    def _keep_if_best(self, result: ValidationResult) -> None:
+        progress = self.progress
+        if result.error < progress.best_error:
+            progress.best_error, progress.best_step = result.error, progress.step
+            progress.without_improvement = 0
+            if self.files is not None:
+                self.files.save_weights(self.learner, progress, result)
 
     def _log(self, result: ValidationResult) -> None:
-        path = self.out / LOG
-        new = not path.exists()
-        share = self.progress.seconds / self.options.time_limit_s
-        row = (
-            self.progress.step,
-            round(self.progress.seconds, 1),
-            len(self.dataset.training),
-            f"{learning_rate(self.config, self.progress.step, share):.3e}",
-            f"{np.mean(self._losses) if self._losses else math.nan:.5f}",
-            *(f"{1e3 * value:.3f}" for value in (result.error, result.displacement, result.rigid_error)),
+        if self.files is not None:
+            rate = self.schedule.learning_rate(self.config, self.progress)
+            self.files.write_validation(self.progress, rate, result)
+
+    def _bar(self) -> tqdm:  # type: ignore[type-arg]
+        return tqdm(
+            total=self.schedule.steps if self._follows_steps else round(self.schedule.time_limit_s or 0.0),
+            initial=self._done,
+            unit="step" if self._follows_steps else "s",
+            desc="training",
+            mininterval=1.0,
+            disable=not self.ranks.writes,
         )
-        with path.open("a", newline="") as stream:
-            writer = csv.writer(stream)
-            if new:
-                writer.writerow(_COLUMNS)
-            writer.writerow(row)
-        tqdm.write("  ".join(f"{name} {value}" for name, value in zip(_COLUMNS, row, strict=True)))
-        self._losses.clear()
 
+    def _show(self, bar: tqdm) -> None:  # type: ignore[type-arg]
+        bar.update(self._done - bar.n)
 
-def learning_rate(config: TrainingConfig, step: int, share: float) -> float:
-    """Return the learning rate: a linear rise over the first steps, then half a cosine of the share of time spent.
+    @property
+    def _follows_steps(self) -> bool:
+        return self.schedule.steps is not None or self.schedule.time_limit_s is None
 
-    Examples
-    --------
-    >>> config = TrainingConfig(learning_rate=1.0, warmup_steps=10)
-    >>> learning_rate(config, 4, 0.0), learning_rate(config, 100, 0.5), learning_rate(config, 1000, 1.0)
-    (0.5, 0.5, 0.0)
-    """
-    warmup = min(1.0, (step + 1) / max(1, config.warmup_steps))
-    return config.learning_rate * warmup * 0.5 * (1.0 + math.cos(math.pi * min(1.0, share)))
+    @property
+    def _done(self) -> int:
+        """Steps or seconds, whichever the schedule follows."""
+        if self._follows_steps:
+            return self.progress.step
+        return min(round(self.progress.seconds), round(self.schedule.time_limit_s or 0.0))

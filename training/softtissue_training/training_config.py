@@ -8,6 +8,7 @@ from typing import Any
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.network import UNetArchitecture
 from softtissue_estimator.network_input import NetworkSpec
+from softtissue_training.organ_shape import CUBE_SIDE_M
 
 
 @dataclass(frozen=True)
@@ -21,40 +22,87 @@ class TrainingConfig:
     spec
         Grid, scales and architecture of the network.
     batch_size
-        Samples a step.
+        Samples a step, over all processes.
     learning_rate
         Highest learning rate of Adam.
     warmup_steps
-        Steps over which the learning rate rises to its highest value; from there it falls to zero as half a cosine of
-        the time spent.
+        Steps over which the learning rate rises to its highest value.
     ema_decay
         Decay a step of the moving average of the weights, which is what is validated and kept; 0 for none.
     visible_share
         Lowest and highest share of the surface that is seen, in training.
+    noise_m
+        Lowest and highest standard deviation of the Gaussian noise on each component of a visible point's
+        displacement, metres; drawn anew each time a sample is used.
+    correspondences
+        Lowest and highest number of visible points whose displacement is known, drawn uniformly on a logarithmic
+        scale; None: all of them.
+    orientations
+        8: mirrored copies, as in the paper; 48: axes exchanged as well; 1: none.
+    redraw
+        Draw the visible patch, its noise and correspondences anew each time a sample is used, not once for all.
+    larger_box_share
+        Share of the batches that see more of the surroundings than the organ's own box, up to the whole cube, with the
+        organ anywhere in it.
     validation_visible_share
-        The same in validation.
+        Share of the surface that is seen, in validation.
     validation_every
-        One organ out of this many is held out.
+        One organ out of this many is held out, with all its load cases; 0: the samples that are trained on are
+        validated with the patches that they are trained with, which shows whether a network learns them by heart.
     validation_samples
         Held-out organs that are used at most.
-    exchange_axes
-        Turn organs onto other axes as well as mirroring them.
     seed
         Seed of the initial weights, of the order of samples and of what is seen of them.
     """
 
     name: str = "paper"
     spec: NetworkSpec = field(default_factory=NetworkSpec)
-    batch_size: int = 2
+    batch_size: int = 4
     learning_rate: float = 3e-4
     warmup_steps: int = 200
     ema_decay: float = 0.998
-    visible_share: tuple[float, float] = (0.08, 1.0)
+    visible_share: tuple[float, float] = (0.02, 1.0)
+    noise_m: tuple[float, float] = (0.0, 0.0)
+    correspondences: tuple[int, int] | None = None
+    orientations: int = 48
+    redraw: bool = True
+    larger_box_share: float = 0.0
     validation_visible_share: tuple[float, float] = (0.08, 0.6)
-    validation_every: int = 20
+    validation_every: int = 10
     validation_samples: int = 100
-    exchange_axes: bool = True
     seed: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("visible_share", "validation_visible_share"):
+            low, high = getattr(self, name)
+            if not 0.0 < low <= high <= 1.0:
+                raise InvalidInputError(
+                    f"{name} must be two shares with 0 < low <= high <= 1, got {low}, {high}"
+                )
+        if not 0.0 <= self.noise_m[0] <= self.noise_m[1]:
+            raise InvalidInputError(
+                f"noise must be a range from low to high, at least 0, got {self.noise_m} m"
+            )
+        if self.correspondences is not None and not 1 <= self.correspondences[0] <= self.correspondences[1]:
+            raise InvalidInputError(
+                f"correspondences must be a range from low to high, at least 1, got {self.correspondences}"
+            )
+        if self.orientations not in (1, 8, 48):
+            raise InvalidInputError(f"orientations must be 1, 8 or 48, got {self.orientations}")
+        if self.validation_every == 0 and self.redraw:
+            raise InvalidInputError(
+                "patches must not be drawn anew where training samples are validated, got redraw"
+            )
+
+    @property
+    def exchange_axes(self) -> bool:
+        """Whether organs are turned onto other axes as well as mirrored."""
+        return self.orientations == 48
+
+    @property
+    def cube_cells(self) -> float:
+        """Cells of the cube of 0.30 m at full resolution, by which the loss is divided (N^3 in the paper)."""
+        return (CUBE_SIDE_M / self.spec.spacing) ** 3
 
     def to_json(self) -> dict[str, Any]:
         """Return the settings as JSON can hold them."""
@@ -62,16 +110,16 @@ class TrainingConfig:
 
 
 CONFIGS = {
-    "paper": TrainingConfig(spec=NetworkSpec(margin_cells=1)),
+    "paper": TrainingConfig(spec=NetworkSpec(margin_cells=1), orientations=8, validation_samples=1000),
     # The same network on cells of twice the size: a step costs an eighth, which is what a CPU can afford.
     "paper-coarse": TrainingConfig(
-        name="paper-coarse", spec=NetworkSpec(spacing=0.30 / 32, margin_cells=0), batch_size=4
+        name="paper-coarse", spec=NetworkSpec(spacing=CUBE_SIDE_M / 32, margin_cells=0)
     ),
     # For tests and for trying things out.
     "tiny": TrainingConfig(
         name="tiny",
         spec=NetworkSpec(
-            spacing=0.30 / 16,
+            spacing=CUBE_SIDE_M / 16,
             margin_cells=1,
             architecture=UNetArchitecture(
                 widths=(8, 8, 16, 16),
@@ -80,12 +128,30 @@ CONFIGS = {
                 decoder_convolutions=1,
             ),
         ),
+        batch_size=2,
         warmup_steps=10,
         ema_decay=0.9,
         validation_samples=8,
         validation_every=4,
     ),
 }
+# Learns a few organs by heart: nothing is drawn anew, and all of them, on the whole cube, make one batch.
+CONFIGS["overfit"] = replace(
+    CONFIGS["tiny"],
+    name="overfit",
+    spec=replace(
+        CONFIGS["tiny"].spec,
+        cube_side_m=CUBE_SIDE_M,
+        architecture=replace(CONFIGS["tiny"].spec.architecture, widths=(16, 16, 32, 32)),
+    ),
+    batch_size=8,
+    learning_rate=3e-3,
+    ema_decay=0.95,
+    visible_share=(0.5, 0.5),
+    orientations=1,
+    redraw=False,
+    validation_every=0,
+)
 
 
 def get_config(name: str, **changes: Any) -> TrainingConfig:

@@ -29,16 +29,32 @@ class Progress:
         Optimisation steps taken.
     skipped
         Steps left out because their gradient was not finite.
+    epoch, batch
+        Times that all samples have been used, and batches of the present epoch that have been.
     seconds
         Time spent, over all parts of the run.
-    best_error
-        Lowest validation error, metres.
+    best_error, best_step
+        Lowest validation error, metres, and the step after which it was reached.
+    without_improvement
+        Validations since then.
+    validated_step, validated_seconds
+        When the last validation was.
+    loss_sum, loss_count
+        Of the steps since then.
     """
 
     step: int = 0
     skipped: int = 0
+    epoch: int = 0
+    batch: int = 0
     seconds: float = 0.0
     best_error: float = float("inf")
+    best_step: int = 0
+    without_improvement: int = 0
+    validated_step: int = 0
+    validated_seconds: float = 0.0
+    loss_sum: float = 0.0
+    loss_count: int = 0
 
 
 def save_state(
@@ -48,8 +64,9 @@ def save_state(
     optimiser: torch.optim.Adam,
     progress: Progress,
     config: dict[str, Any],
+    data_sha256: str = "",
 ) -> None:
-    """Write everything that a later run needs to go on."""
+    """Write everything that a later run needs to go on; an earlier file is replaced only when this one is complete."""
     tensors: dict[str, Tensor] = {}
     for name, value in network.state_dict().items():
         tensors[f"network.{name}"] = value
@@ -62,20 +79,34 @@ def save_state(
     save_file(
         {name: value.detach().cpu().contiguous() for name, value in tensors.items()},
         partial,
-        metadata={"progress": json.dumps(asdict(progress)), "config": json.dumps(config)},
+        metadata={
+            "progress": json.dumps(asdict(progress)),
+            "config": json.dumps(config),
+            "data_sha256": data_sha256,
+        },
     )
     partial.replace(path)
 
 
 def load_state(
-    path: Path, network: UNet, average: UNet, optimiser: torch.optim.Adam, config: dict[str, Any]
+    path: Path,
+    network: UNet,
+    average: UNet,
+    optimiser: torch.optim.Adam,
+    config: dict[str, Any],
+    data_sha256: str | None = None,
 ) -> Progress:
     """Fill network, average and optimiser in place.
+
+    Parameters
+    ----------
+    data_sha256
+        Hash of the data that the run must have begun with; None: any.
 
     Raises
     ------
     CheckpointError
-        The file is damaged or belongs to a run with other settings.
+        The file is damaged or belongs to a run with other settings or other data.
     """
     try:
         with safe_open(path, framework="pt") as stored:
@@ -83,6 +114,11 @@ def load_state(
             tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise CheckpointError(f"training state {path} is damaged: {error}") from error
+    if data_sha256 is not None and metadata.get("data_sha256") != data_sha256:
+        raise CheckpointError(
+            f"a run goes on with the data it began with, unless it watches them grow (--watch): expected SHA-256 "
+            f"{metadata.get('data_sha256', 'none')}, got {data_sha256}"
+        )
     _check_settings(json.loads(metadata.get("config", "{}")), config)
     network.load_state_dict(_with_prefix(tensors, "network."))
     average.load_state_dict(_with_prefix(tensors, "average."))

@@ -12,7 +12,10 @@ from torch import Tensor
 from softtissue_estimator.network import UNet
 from softtissue_estimator.network_input import NetworkSpec
 from softtissue_estimator.rigid import fit_rigid
-from softtissue_training.dataset import PreparedSample, draw_visible, voxelise
+from softtissue_training.batch_order import slots_of
+from softtissue_training.box import crop, own_box
+from softtissue_training.dataset import PreparedSample, voxelise
+from softtissue_training.distributed import Ranks
 
 
 @dataclass(frozen=True)
@@ -35,14 +38,19 @@ class ValidationResult:
 
 
 class Validation:
-    """Held-out organs with visible patches that stay the same through a training run."""
+    """Samples with visible patches that stay the same through a training run.
+
+    Parameters
+    ----------
+    seen
+        Visible points and displacements of each sample, as `draw_visible` returns them.
+    """
 
     def __init__(
         self,
         samples: Sequence[PreparedSample],
+        seen: Sequence[tuple[Tensor, Tensor]],
         spec: NetworkSpec,
-        share: tuple[float, float],
-        rng: np.random.Generator,
         device: torch.device,
     ) -> None:
         self._spec = spec
@@ -50,28 +58,38 @@ class Validation:
         self._inputs: list[tuple[PreparedSample, Tensor, Tensor]] = []
         self._displacement: list[float] = []
         self._rigid: list[float] = []
-        for sample in samples:
-            points, displacement = draw_visible(sample, rng, share)
+        for sample, (points, displacement) in zip(samples, seen, strict=True):
             self._inputs.append((sample, points, displacement))
             inside = (sample.signed_distance <= 0).reshape(-1).numpy()
             target = sample.target.reshape(-1, 3).double().numpy()[inside]
             centres = sample.grid.points()[inside]
-            seen = points.double().numpy()
-            motion = fit_rigid(seen, seen + displacement.double().numpy())
+            before = points.double().numpy()
+            motion = fit_rigid(before, before + displacement.double().numpy())
             self._displacement.append(float(np.linalg.norm(target, axis=1).mean()))
             self._rigid.append(float(np.linalg.norm(motion.apply(centres) - centres - target, axis=1).mean()))
 
-    def __call__(self, network: UNet) -> ValidationResult:
-        """Measure a network; it is left in the mode it was in."""
+    def __call__(self, network: UNet, ranks: Ranks | None = None) -> ValidationResult:
+        """Measure a network in float32, on the box that the estimator will use; it is left in the mode it was in.
+
+        Parameters
+        ----------
+        ranks
+            Processes that share the work, each with the same network; all get the same result.
+        """
+        ranks = ranks or Ranks()
         was_training = network.training
         network.eval()
-        errors = []
+        errors = torch.zeros(len(self._inputs), dtype=torch.float64)
         with torch.inference_mode():
-            for sample, points, displacement in self._inputs:
-                inputs, target, mask = voxelise(sample, points, displacement, self._spec, self._device)
-                distance = (network(inputs) - target).norm(dim=1, keepdim=True)
-                errors.append(float((distance * mask).sum() / mask.sum()) * self._spec.output_scale)
+            for number in slots_of(ranks.rank, ranks.size, len(self._inputs)):
+                errors[number] = self._error(network, *self._inputs[number])
         network.train(was_training)
-        return ValidationResult(
-            float(np.mean(errors)), float(np.mean(self._displacement)), float(np.mean(self._rigid))
-        )
+        error = float(ranks.sum(errors.to(self._device)).mean())
+        return ValidationResult(error, float(np.mean(self._displacement)), float(np.mean(self._rigid)))
+
+    def _error(self, network: UNet, sample: PreparedSample, points: Tensor, displacement: Tensor) -> float:
+        """Return the mean distance inside the organ, metres."""
+        voxels = voxelise(sample, points, displacement, self._spec, self._device)
+        inputs, target, mask = crop(voxels, own_box(sample.box, sample.grid.shape))
+        distance = (network(inputs) - target).norm(dim=1, keepdim=True)
+        return float((distance * mask).sum() / mask.sum()) * self._spec.output_scale

@@ -1,0 +1,113 @@
+"""One optimisation step after the other: network, moving average of its weights, and Adam."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from softtissue_estimator.network import UNet, initialise
+from softtissue_training.distributed import Ranks
+from softtissue_training.loss import sample_losses
+from softtissue_training.precision import restrict_autocast
+from softtissue_training.training_config import TrainingConfig
+
+CLIP_NORM = 1.0
+
+
+@dataclass(frozen=True)
+class Batch:
+    """The part of a batch that one process has.
+
+    Attributes
+    ----------
+    inputs, target, mask
+        (b, 5, X, Y, Z), (b, 3, X, Y, Z) and (b, 1, X, Y, Z), as `voxelise` makes them.
+    count
+        Samples of the batch in all processes together.
+    counts
+        Whether the samples count: a process that has none of a small batch computes one for nothing.
+    """
+
+    inputs: Tensor
+    target: Tensor
+    mask: Tensor
+    count: int
+    counts: bool = True
+
+
+class Learner:
+    """A network in training.
+
+    The loss of a batch is the mean over its samples in all processes, each sample's being a mean over cells of its own,
+    so that neither the sizes of grids nor the number of processes change the gradient.
+    """
+
+    def __init__(self, config: TrainingConfig, device: torch.device, ranks: Ranks, *, bfloat16: bool) -> None:
+        self.config, self.device, self.ranks, self.bfloat16 = config, device, ranks, bfloat16
+        # Overwritten by `initialise` or by a stored state; seeded all the same, so that nothing depends on chance.
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            self.network = UNet(config.spec.architecture).to(device)
+        self.average = copy.deepcopy(self.network).requires_grad_(False)
+        restrict_autocast(self.network, device)
+        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
+        self._outputs: nn.Module | None = None
+
+    def initialise(self, example: Tensor) -> dict[str, float]:
+        """Give every layer unit variance on an example (1, 5, X, Y, Z); returns what was reached, by layer."""
+        generator = torch.Generator(self.device).manual_seed(self.config.seed)
+        reached = initialise(self.network, example, generator=generator)
+        self.average.load_state_dict(self.network.state_dict())
+        return reached
+
+    def gradient(self, batch: Batch) -> Tensor:
+        """Set the gradients of the mean loss over the whole batch; returns this process' share of that loss, ()."""
+        if (
+            self._outputs is None
+        ):  # not before the weights are what they are to be: the first process hands out its own
+            self._outputs = self.ranks.share_gradients(_AllResolutions(self.network))
+        self.optimiser.zero_grad(set_to_none=True)
+        with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.bfloat16):
+            outputs = self._outputs(batch.inputs)
+        losses = sample_losses(outputs, batch.target, batch.mask, self.config.cube_cells)
+        share = losses.sum() * (float(batch.counts) / batch.count)
+        # The processes' gradients are averaged, where they should be added.
+        (share * self.ranks.size).backward()
+        return share.detach()
+
+    def update(self, rate: float, step: int) -> bool:
+        """Make the step with the gradients that are set; returns false, and does nothing, where they are not finite.
+
+        Parameters
+        ----------
+        rate
+            Learning rate.
+        step
+            Steps made before.
+        """
+        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), CLIP_NORM)
+        if not bool(torch.isfinite(norm)):
+            return False
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        self.optimiser.step()
+        # Early weights are forgotten sooner than the decay says, or the average would start at zero output.
+        decay = min(self.config.ema_decay, (2 + step) / (11 + step))
+        with torch.no_grad():
+            for averaged, weight in zip(self.average.parameters(), self.network.parameters(), strict=True):
+                averaged.lerp_(weight, 1.0 - decay)
+        return True
+
+
+class _AllResolutions(nn.Module):
+    """What `DistributedDataParallel` needs: a module whose call gives all outputs."""
+
+    def __init__(self, network: UNet) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, inputs: Tensor) -> list[Tensor]:
+        return self.network.forward_all(inputs)
