@@ -22,7 +22,7 @@ from softtissue_training.evaluation.report import summarise, table, write_csv, w
 from softtissue_training.evaluation.runner import evaluate
 from softtissue_training.record_format import content_hash, parse_record
 
-_VERSION = 1  # of how cases are made
+_VERSION = 2  # of how cases are made
 ANSWERS, ROWS, SUMMARY, FIGURES = "answers", "samples.csv", "evaluation.json", "figures"
 
 

@@ -19,6 +19,7 @@ from softtissue_training.surface_patch import grow_patch, surface_distance
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
 
 SMALLEST_SIGMA_M = 0.0002
 """Standard deviation that estimators are told where no noise is added."""
@@ -69,9 +70,9 @@ def simulated_case(
     """Make a case of a simulation: one random visible patch, observed as the settings say.
 
     All randomness is drawn in one order (patch, points, noise), so that the same generator with more noise sees the
-    same patch.
+    same patch. The order in which a record lists its triangles, which packing may change, does not matter.
     """
-    surface = sample.surface
+    surface = SurfaceMesh(sample.surface.vertices, ordered_faces(sample.surface.faces))
     attached = sample.attached_mask
     nodes = sample.vertices.astype(np.float64)
     truth = sample.displacement.astype(np.float64)
@@ -92,6 +93,13 @@ def simulated_case(
         load_seen_share=load_seen_share(sample, visible),
         volume=VolumeMesh(nodes, sample.tets.astype(np.int64)),
     )
+
+
+def ordered_faces(faces: IntArray) -> IntArray:
+    """Return the same triangles (m, 3), each from its lowest vertex on and sorted, with their orientation kept."""
+    first = faces.argmin(axis=1)
+    turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
+    return turned[np.lexsort(turned.T[::-1])]
 
 
 def draw_visible_faces(
