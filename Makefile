@@ -21,7 +21,7 @@ BUILD_INPUTS := scripts/build_workspace scripts/env.sh \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: build clean demo distclean format help lint test venv
+.PHONY: build clean demo distclean format help lint test venv verify
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -36,6 +36,10 @@ demo: $(BUILD_STAMP) ## the main job on the bundled phantom: table, out/demo/rep
 test: $(BUILD_STAMP) ## all tests, in the built workspace
 	@echo "==> Running the tests"
 	@scripts/run --alone python -m pytest -ra $(PYTEST_ARGS) $(TESTS)
+
+verify: $(VENV_STAMP) ## the physics alone: tests/verification; needs no built workspace
+	@echo "==> Verifying the simulations"
+	@.venv/bin/python -m pytest -ra $(PYTEST_ARGS) tests/verification
 
 lint: $(VENV_STAMP) ## ruff (rules and format) and mypy --strict; needs no built workspace
 	@echo "==> ruff and mypy"

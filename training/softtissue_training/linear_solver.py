@@ -109,7 +109,13 @@ class SuperLUSolver:
         self._upper.data[:] = upper_values
         full = self._upper + sparse.triu(self._upper, k=1).T
         try:
-            factors = splu(full.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+            # Pivots stay on the diagonal unless they are small, or the ordering would be lost.
+            factors = splu(
+                full.tocsc(),
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.01,
+                options={"SymmetricMode": True},
+            )
         except RuntimeError as error:
             raise SolverDivergedError(f"the tangent cannot be factorised: {error}") from error
         result: FloatArray = factors.solve(right_hand_side)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from softtissue_training.errors import SolverDivergedError
 from softtissue_training.material import Material
+
+if TYPE_CHECKING:
+    import torch
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -36,6 +38,7 @@ def solve_with_torch_fem(
     SolverDivergedError
         torch-fem gave up.
     """
+    import torch
     from torchfem import Solid
     from torchfem.materials import Hyperelastic3D
 
@@ -61,6 +64,8 @@ def solve_with_torch_fem(
 
 
 def _neo_hookean(gradient: torch.Tensor, parameters: torch.Tensor) -> torch.Tensor:
+    import torch
+
     mu, lam = parameters
     right = gradient.transpose(-1, -2) @ gradient
     log_j = 0.5 * torch.logdet(right)
@@ -69,6 +74,8 @@ def _neo_hookean(gradient: torch.Tensor, parameters: torch.Tensor) -> torch.Tens
 
 
 def _st_venant_kirchhoff(gradient: torch.Tensor, parameters: torch.Tensor) -> torch.Tensor:
+    import torch
+
     mu, lam = parameters
     strain = 0.5 * (gradient.transpose(-1, -2) @ gradient - torch.eye(3, dtype=gradient.dtype))
     energy: torch.Tensor = lam / 2 * torch.trace(strain) ** 2 + mu * torch.sum(strain * strain)
