@@ -60,7 +60,7 @@ def _trained(data, out, share):
     torch.set_num_threads(1)
     try:
         config = dataclasses.replace(BOXES, larger_box_share=share)
-        train(data, out, config, Schedule(steps=100, validate_every_steps=100))
+        train(data, out, config, Schedule(steps=60, validate_every_steps=60))
     finally:
         torch.set_num_threads(before)
     return load_checkpoint(out / WEIGHTS).network
@@ -71,6 +71,6 @@ def test_boxes_of_all_sizes_in_training_make_box_and_cube_agree(data_folder, aro
     fixed = _errors_mm(_trained(data_folder, tmp_path / "fixed", 0.0), around)
     varied = _errors_mm(_trained(data_folder, tmp_path / "varied", 0.5), around)
     print("box to cube, box, cube (mm):", fixed.round(2), varied.round(2))
-    assert fixed[0] > 2.5
-    assert varied[0] < 2.0
+    assert fixed[2] > fixed[1] + 0.5
     assert varied[2] < varied[1] + 0.5
+    assert varied[0] < 0.8 * fixed[0]
