@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from softtissue_training.archive import record_name, write_record
-from softtissue_training.recipe import Recipe
-from softtissue_training.record_format import format_record
-from softtissue_training.sample import Record, Sample
-from softtissue_training.simulate import simulate
+from softtissue_training.simulation.archive import record_name, write_record
+from softtissue_training.simulation.recipe import Recipe
+from softtissue_training.simulation.record_format import format_record
+from softtissue_training.simulation.sample import Record, Sample
+from softtissue_training.simulation.simulate import simulate
 
 COARSE = Recipe(element_size_m=0.02)
 

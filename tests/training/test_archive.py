@@ -6,7 +6,8 @@ import pytest
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.mesh import enclosed_volume
-from softtissue_training.archive import (
+from softtissue_training.organs.tetrahedralise import signed_volumes
+from softtissue_training.simulation.archive import (
     digest,
     digest_of,
     list_records,
@@ -15,11 +16,15 @@ from softtissue_training.archive import (
     record_name,
     write_record,
 )
-from softtissue_training.compact import STEP_M
-from softtissue_training.record_format import content_hash, format_compact, format_record, parse_record
-from softtissue_training.simulate import simulate
-from softtissue_training.tetrahedralise import signed_volumes
-from softtissue_training.vtu import write_vtu
+from softtissue_training.simulation.compact import STEP_M
+from softtissue_training.simulation.record_format import (
+    content_hash,
+    format_compact,
+    format_record,
+    parse_record,
+)
+from softtissue_training.simulation.simulate import simulate
+from softtissue_training.simulation.vtu import write_vtu
 
 from .conftest import COARSE
 

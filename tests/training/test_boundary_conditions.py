@@ -3,15 +3,15 @@ import pytest
 import trimesh
 
 from softtissue_estimator.mesh import SurfaceMesh, face_areas, vertex_areas
-from softtissue_training.boundary_conditions import random_boundary_conditions
 from softtissue_training.errors import RejectedSampleError
-from softtissue_training.recipe import Recipe
-from softtissue_training.surface_patch import (
+from softtissue_training.organs.surface_patch import (
     grow_patch,
     random_patch,
     random_vertex,
     surface_distance,
 )
+from softtissue_training.simulation.boundary_conditions import random_boundary_conditions
+from softtissue_training.simulation.recipe import Recipe
 
 RADIUS = 0.06
 

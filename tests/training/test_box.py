@@ -11,14 +11,14 @@ import pytest
 import torch
 
 from softtissue_estimator.checkpoint import load_checkpoint
-from softtissue_training.batch_source import fixed_view
-from softtissue_training.box import crop, own_box
-from softtissue_training.dataset import voxelise
-from softtissue_training.run_files import WEIGHTS
-from softtissue_training.schedule import Schedule
-from softtissue_training.simulation_set import SimulationSet
-from softtissue_training.train import train
-from softtissue_training.training_config import get_config
+from softtissue_training.learning.batch_source import fixed_view
+from softtissue_training.learning.box import crop, own_box
+from softtissue_training.learning.dataset import voxelise
+from softtissue_training.learning.run_files import WEIGHTS
+from softtissue_training.learning.schedule import Schedule
+from softtissue_training.learning.simulation_set import SimulationSet
+from softtissue_training.learning.train import train
+from softtissue_training.learning.training_config import get_config
 
 OVERFIT = get_config("overfit")
 # Boxes of 16 and 24 cells in a cube of 32.

@@ -3,8 +3,8 @@ import torch
 from matplotlib.image import imread
 
 from softtissue_estimator.checkpoint import load_checkpoint
-from softtissue_training.archive import list_records
 from softtissue_training.cli import main
+from softtissue_training.simulation.archive import list_records
 
 
 def test_help_names_every_command(capsys):

@@ -5,7 +5,7 @@ import pytest
 
 from softtissue_training.comparison.compare import Case, Program, compare, programs, table
 from softtissue_training.errors import SolverDivergedError
-from softtissue_training.material import LAWS, Material
+from softtissue_training.physics.material import LAWS, Material
 from verification.blocks import lattice
 
 

@@ -6,11 +6,11 @@ import torch
 
 from softtissue_estimator.grid import VoxelGrid
 from softtissue_estimator.network_input import NetworkSpec
-from softtissue_training.augment import exchange_axes, flip, random_orientation
-from softtissue_training.batch_order import epoch_batches
-from softtissue_training.box import crop, draw_box, draw_growth, own_box
-from softtissue_training.dataset import draw_visible, prepare, voxelise, voxelise_many
-from softtissue_training.voxel_target import voxel_displacement
+from softtissue_training.learning.augment import exchange_axes, flip, random_orientation
+from softtissue_training.learning.batch_order import epoch_batches
+from softtissue_training.learning.box import crop, draw_box, draw_growth, own_box
+from softtissue_training.learning.dataset import draw_visible, prepare, voxelise, voxelise_many
+from softtissue_training.learning.voxel_target import voxel_displacement
 
 from .conftest import LINEAR
 

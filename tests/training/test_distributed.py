@@ -11,17 +11,17 @@ import numpy as np
 import torch
 from safetensors.torch import load_file, save_file
 
-from softtissue_training.archive import record_name, write_record
-from softtissue_training.batch_source import BatchSource
 from softtissue_training.cli import main
-from softtissue_training.dataset import draw_visible, prepare, voxelise
-from softtissue_training.distributed import Ranks, joined
-from softtissue_training.learner import Batch, Learner
-from softtissue_training.loss import sample_losses
-from softtissue_training.record_format import format_record
-from softtissue_training.run_files import LOG, LOSS
-from softtissue_training.simulation_set import SimulationSet
-from softtissue_training.training_config import get_config
+from softtissue_training.learning.batch_source import BatchSource
+from softtissue_training.learning.dataset import draw_visible, prepare, voxelise
+from softtissue_training.learning.distributed import Ranks, joined
+from softtissue_training.learning.learner import Batch, Learner
+from softtissue_training.learning.loss import sample_losses
+from softtissue_training.learning.run_files import LOG, LOSS
+from softtissue_training.learning.simulation_set import SimulationSet
+from softtissue_training.learning.training_config import get_config
+from softtissue_training.simulation.archive import record_name, write_record
+from softtissue_training.simulation.record_format import format_record
 
 CONFIG = get_config("tiny", batch_size=3)
 CPU = torch.device("cpu")

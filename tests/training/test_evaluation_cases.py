@@ -23,8 +23,8 @@ from softtissue_training.evaluation.observe import (
     simulated_case,
 )
 from softtissue_training.evaluation.prescribed import finite_element_displacement, vertex_displacement
-from softtissue_training.material import Material
-from softtissue_training.solver import solve
+from softtissue_training.physics.material import Material
+from softtissue_training.physics.solver import solve
 
 from .conftest import LINEAR
 

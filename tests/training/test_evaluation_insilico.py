@@ -15,7 +15,6 @@ from softtissue_estimator.cache import cache_folder
 from softtissue_estimator.checkpoint import save_checkpoint
 from softtissue_estimator.network import UNet, UNetArchitecture
 from softtissue_estimator.network_input import NetworkSpec
-from softtissue_training.archive import pack, record_name, write_record
 from softtissue_training.cli import main
 from softtissue_training.errors import SolverDivergedError
 from softtissue_training.evaluation import figures, methods, runner
@@ -23,9 +22,10 @@ from softtissue_training.evaluation.insilico import SimulatedOrgan, evaluate_in_
 from softtissue_training.evaluation.methods import parse_methods
 from softtissue_training.evaluation.observe import ObservationSettings
 from softtissue_training.evaluation.runner import evaluate
-from softtissue_training.recipe import Recipe
-from softtissue_training.record_format import format_record
-from softtissue_training.simulate import simulate
+from softtissue_training.simulation.archive import pack, record_name, write_record
+from softtissue_training.simulation.recipe import Recipe
+from softtissue_training.simulation.record_format import format_record
+from softtissue_training.simulation.simulate import simulate
 
 SETTINGS = ObservationSettings()
 FIGURES = (

@@ -10,9 +10,9 @@ import time
 import pytest
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.archive import list_records
-from softtissue_training.cluster import connect
-from softtissue_training.generate import generate
+from softtissue_training.simulation.archive import list_records
+from softtissue_training.simulation.cluster import connect
+from softtissue_training.simulation.generate import generate
 
 from .conftest import COARSE
 
@@ -115,7 +115,7 @@ def test_a_running_scheduler_is_used(data_folder, tmp_path):
 
 
 def test_a_scheduler_that_does_not_answer_gives_one_sentence(tmp_path, monkeypatch):
-    monkeypatch.setattr("softtissue_training.cluster._CONNECT_S", 1)
+    monkeypatch.setattr("softtissue_training.simulation.cluster._CONNECT_S", 1)
     with (
         pytest.raises(InvalidInputError, match="--scheduler must be the address of a running Dask scheduler"),
         connect(1, "tcp://127.0.0.1:9"),

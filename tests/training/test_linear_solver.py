@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from softtissue_training.linear_solver import PardisoSolver, SuperLUSolver, make_solver
+from softtissue_training.physics.linear_solver import PardisoSolver, SuperLUSolver, make_solver
 
 SOLVERS = [SuperLUSolver] + ([PardisoSolver] if find_spec("pypardiso") else [])
 
@@ -34,5 +34,5 @@ def test_there_is_a_solver_whatever_is_installed(monkeypatch):
     _, upper = _system(1)
     pattern = upper.indptr.astype(np.int64), upper.indices.astype(np.int64)
     assert isinstance(make_solver(*pattern), SOLVERS[-1])
-    monkeypatch.setattr("softtissue_training.linear_solver.find_spec", lambda name: None)
+    monkeypatch.setattr("softtissue_training.physics.linear_solver.find_spec", lambda name: None)
     assert isinstance(make_solver(*pattern), SuperLUSolver)

@@ -2,7 +2,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from softtissue_training.loss import multi_resolution_loss, sample_losses
+from softtissue_training.learning.loss import multi_resolution_loss, sample_losses
 
 
 def _problem():

@@ -4,13 +4,13 @@ import trimesh
 
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.mesh import SurfaceMesh, enclosed_volume
-from softtissue_training.organ_shape import (
+from softtissue_training.organs.organ_shape import (
     CUBE_SIDE_M,
     VOLUME_RANGE_M3,
     check_self_intersection,
     random_organ_surface,
 )
-from softtissue_training.resampling import resample
+from softtissue_training.organs.resampling import resample
 
 
 @pytest.fixture(scope="module")
@@ -85,8 +85,10 @@ def test_a_surface_that_cuts_itself_is_found():
 
 def test_organs_that_cut_themselves_are_refused(monkeypatch):
     # A whole turn of the bend folds every organ over itself.
-    monkeypatch.setattr("softtissue_training.organ_shape.bend", lambda points, length, angle: _folded(points))
-    monkeypatch.setattr("softtissue_training.organ_shape.VOLUME_RANGE_M3", (-1.0, 1.0))
+    monkeypatch.setattr(
+        "softtissue_training.organs.organ_shape.bend", lambda points, length, angle: _folded(points)
+    )
+    monkeypatch.setattr("softtissue_training.organs.organ_shape.VOLUME_RANGE_M3", (-1.0, 1.0))
     with pytest.raises(MeshError, match="must not cut itself"):
         random_organ_surface(np.random.default_rng(1), 0.015)
 

@@ -5,13 +5,13 @@ import os
 import pytest
 import torch
 
-from softtissue_training.archive import record_name, write_record
-from softtissue_training.recipe import Recipe
-from softtissue_training.record_format import format_record
-from softtissue_training.schedule import Schedule
-from softtissue_training.simulate import simulate
-from softtissue_training.train import train
-from softtissue_training.training_config import get_config
+from softtissue_training.learning.schedule import Schedule
+from softtissue_training.learning.train import train
+from softtissue_training.learning.training_config import get_config
+from softtissue_training.simulation.archive import record_name, write_record
+from softtissue_training.simulation.recipe import Recipe
+from softtissue_training.simulation.record_format import format_record
+from softtissue_training.simulation.simulate import simulate
 
 
 def _errors_mm(records, folder, steps, **changes):

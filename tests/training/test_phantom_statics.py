@@ -5,6 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.errors import SolverDivergedError
+from softtissue_training.organs.tetrahedralise import TetMesh
 from softtissue_training.phantom.quadratic_mesh import Interpolator, shape_functions, to_quadratic
 from softtissue_training.phantom.statics import (
     Body,
@@ -12,7 +13,6 @@ from softtissue_training.phantom.statics import (
     mooney_rivlin,
     stress_and_tangent,
 )
-from softtissue_training.tetrahedralise import TetMesh
 
 CONSTANTS = torch.tensor([400.0, 130.0, 9000.0], dtype=torch.float64)
 SIDE = 0.03

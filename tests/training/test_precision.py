@@ -6,10 +6,10 @@ import torch
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.network import UNet, initialise
-from softtissue_training import precision
-from softtissue_training.dataset import draw_visible, prepare, voxelise
-from softtissue_training.loss import multi_resolution_loss
-from softtissue_training.training_config import get_config
+from softtissue_training.learning import precision
+from softtissue_training.learning.dataset import draw_visible, prepare, voxelise
+from softtissue_training.learning.loss import multi_resolution_loss
+from softtissue_training.learning.training_config import get_config
 
 SPEC = get_config("tiny").spec
 CPU = torch.device("cpu")

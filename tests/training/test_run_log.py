@@ -1,4 +1,4 @@
-from softtissue_training.run_log import CsvLog
+from softtissue_training.learning.run_log import CsvLog
 
 
 def test_rows_that_a_lost_part_of_the_run_wrote_are_removed(tmp_path):

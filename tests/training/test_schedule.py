@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.schedule import Schedule, learning_rate
-from softtissue_training.training_config import get_config
-from softtissue_training.training_state import Progress
+from softtissue_training.learning.schedule import Schedule, learning_rate
+from softtissue_training.learning.training_config import get_config
+from softtissue_training.learning.training_state import Progress
 
 
 def test_learning_rate_rises_and_falls():

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.boundary_conditions import DENSITY_KG_M3, weight
-from softtissue_training.recipe import Recipe
-from softtissue_training.simulate import simulate
-from softtissue_training.tetrahedralise import TetMesh, signed_volumes
+from softtissue_training.organs.tetrahedralise import TetMesh, signed_volumes
+from softtissue_training.simulation.boundary_conditions import DENSITY_KG_M3, weight
+from softtissue_training.simulation.recipe import Recipe
+from softtissue_training.simulation.simulate import simulate
 
 from .conftest import COARSE
 

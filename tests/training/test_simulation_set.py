@@ -2,10 +2,10 @@ import dataclasses
 
 import torch
 
-from softtissue_training.archive import record_name, write_record
-from softtissue_training.record_format import format_record
-from softtissue_training.simulation_set import SimulationSet
-from softtissue_training.training_config import get_config
+from softtissue_training.learning.simulation_set import SimulationSet
+from softtissue_training.learning.training_config import get_config
+from softtissue_training.simulation.archive import record_name, write_record
+from softtissue_training.simulation.record_format import format_record
 
 TINY = get_config("tiny")
 

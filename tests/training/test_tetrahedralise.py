@@ -4,7 +4,7 @@ import trimesh
 
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.mesh import SurfaceMesh
-from softtissue_training.tetrahedralise import radius_ratio, signed_volumes, tetrahedralise
+from softtissue_training.organs.tetrahedralise import radius_ratio, signed_volumes, tetrahedralise
 
 
 def _sphere(radius=0.04):

@@ -16,11 +16,11 @@ from safetensors.torch import load_file
 from softtissue_estimator.checkpoint import load_checkpoint
 from softtissue_estimator.errors import CheckpointError, InvalidInputError
 from softtissue_training.cli import main
-from softtissue_training.run_files import CONFIG, LOG, LOSS, STATE, WEIGHTS
-from softtissue_training.run_summary import SUMMARY
-from softtissue_training.schedule import Schedule
-from softtissue_training.train import RunOptions, train
-from softtissue_training.training_config import get_config
+from softtissue_training.learning.run_files import CONFIG, LOG, LOSS, STATE, WEIGHTS
+from softtissue_training.learning.run_summary import SUMMARY
+from softtissue_training.learning.schedule import Schedule
+from softtissue_training.learning.train import RunOptions, train
+from softtissue_training.learning.training_config import get_config
 
 TINY = get_config("tiny")
 

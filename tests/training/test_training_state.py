@@ -1,8 +1,8 @@
 import torch
 
 from softtissue_estimator.network import UNet
-from softtissue_training.training_config import get_config
-from softtissue_training.training_state import Progress, load_state, save_state
+from softtissue_training.learning.training_config import get_config
+from softtissue_training.learning.training_state import Progress, load_state, save_state
 
 TINY = get_config("tiny")
 

@@ -5,9 +5,9 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from softtissue_training.dataset import draw_visible, prepare
-from softtissue_training.training_config import get_config
-from softtissue_training.validation import Validation
+from softtissue_training.learning.dataset import draw_visible, prepare
+from softtissue_training.learning.training_config import get_config
+from softtissue_training.learning.validation import Validation
 
 SPEC = get_config("tiny").spec
 CPU = torch.device("cpu")

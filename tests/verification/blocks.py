@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from softtissue_training.tetrahedralise import signed_volumes
+from softtissue_training.organs.tetrahedralise import signed_volumes
 
 
 def block(cells=3, seed=0):

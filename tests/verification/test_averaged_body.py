@@ -5,8 +5,8 @@ import pytest
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.comparison.torch_fem import solve_with_torch_fem
-from softtissue_training.material import LAWS, Material
-from softtissue_training.solver import make_body, solve
+from softtissue_training.physics.material import LAWS, Material
+from softtissue_training.physics.solver import make_body, solve
 from verification.blocks import block, lattice, with_midpoints
 
 FORMULATIONS = ("plain", "averaged")

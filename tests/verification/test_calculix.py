@@ -5,9 +5,9 @@ import pytest
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.comparison.calculix import calculix_program, solve_with_calculix
-from softtissue_training.material import Material
-from softtissue_training.pressure import SurfacePressure
-from softtissue_training.solver import solve
+from softtissue_training.physics.material import Material
+from softtissue_training.physics.pressure import SurfacePressure
+from softtissue_training.physics.solver import solve
 from verification.blocks import boundary_faces, lattice
 
 needs_calculix = pytest.mark.skipif(

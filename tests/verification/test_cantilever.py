@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from softtissue_training.material import LAWS, Material
-from softtissue_training.solver import solve
+from softtissue_training.physics.material import LAWS, Material
+from softtissue_training.physics.solver import solve
 from verification.blocks import lattice
 
 # P L^2 / EI: slope, deflection w / L and shortening u / L of the end.

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from softtissue_training.material import LAWS, Material
-from softtissue_training.solver import solve
+from softtissue_training.physics.material import LAWS, Material
+from softtissue_training.physics.solver import solve
 from verification.blocks import lattice
 
 _WAVES = np.array([[2.0, 1.0, 0.0], [0.0, 2.0, 1.0], [1.0, 0.0, 2.0]])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from softtissue_training.errors import SolverDivergedError
-from softtissue_training.load_stepping import SMALLEST_INCREMENT, apply_load
-from softtissue_training.material import Material
-from softtissue_training.solver import solve
+from softtissue_training.physics.load_stepping import SMALLEST_INCREMENT, apply_load
+from softtissue_training.physics.material import Material
+from softtissue_training.physics.solver import solve
 from verification.blocks import block
 
 

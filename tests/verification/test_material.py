@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.material import LAWS, Material
+from softtissue_training.physics.material import LAWS, Material
 
 
 def _deformations(seed, count=20):

@@ -5,10 +5,10 @@ import pytest
 from scipy.optimize import brentq
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.block_system import PAIR_FIRST, PAIR_SECOND
-from softtissue_training.material import LAWS, Material
-from softtissue_training.pressure import SurfacePressure
-from softtissue_training.solver import solve
+from softtissue_training.physics.block_system import PAIR_FIRST, PAIR_SECOND
+from softtissue_training.physics.material import LAWS, Material
+from softtissue_training.physics.pressure import SurfacePressure
+from softtissue_training.physics.solver import solve
 from verification.blocks import boundary_faces, lattice
 
 

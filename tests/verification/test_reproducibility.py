@@ -8,8 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from softtissue_training.material import LAWS, Material
-from softtissue_training.solver import solve
+from softtissue_training.physics.material import LAWS, Material
+from softtissue_training.physics.solver import solve
 from verification.blocks import block
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from softtissue_training.small_matrices import determinant, inverse
+from softtissue_training.physics.small_matrices import determinant, inverse
 
 
 def test_inverse_and_determinant_agree_with_lapack():

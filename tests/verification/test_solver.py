@@ -7,8 +7,8 @@ from scipy.optimize import brentq
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.comparison.torch_fem import solve_with_torch_fem
 from softtissue_training.errors import SolverDivergedError
-from softtissue_training.material import LAWS, Material
-from softtissue_training.solver import solve
+from softtissue_training.physics.material import LAWS, Material
+from softtissue_training.physics.solver import solve
 from verification.blocks import block, face_loads
 
 

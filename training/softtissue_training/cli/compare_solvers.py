@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from softtissue_training.cli.arguments import Commands, positive
-from softtissue_training.material import LAWS
+from softtissue_training.physics.material import LAWS
 
 
 def add(commands: Commands) -> None:

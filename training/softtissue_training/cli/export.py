@@ -22,8 +22,8 @@ def add(commands: Commands) -> None:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from softtissue_training.export import export
-    from softtissue_training.run_files import WEIGHTS
+    from softtissue_training.learning.export import export
+    from softtissue_training.learning.run_files import WEIGHTS
 
     provenance = export(options.run_folder / WEIGHTS, options.file)
     print(f"{options.file}: validation error {provenance['validation_error_mm']:.2f} mm")

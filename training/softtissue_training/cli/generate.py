@@ -41,8 +41,8 @@ def add(commands: Commands) -> None:
 
 def _generate(options: argparse.Namespace) -> int:
     from softtissue_estimator.errors import InvalidInputError
-    from softtissue_training.cluster import connect
-    from softtissue_training.generate import generate
+    from softtissue_training.simulation.cluster import connect
+    from softtissue_training.simulation.generate import generate
 
     recipe = recipe_from(options)
     organs, rest = divmod(options.count, recipe.load_cases)

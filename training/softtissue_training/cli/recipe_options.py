@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.material import LAWS
-from softtissue_training.organ_shape import SHAPES
-from softtissue_training.recipe import Recipe
+from softtissue_training.organs.organ_shape import SHAPES
+from softtissue_training.physics.material import LAWS
+from softtissue_training.simulation.recipe import Recipe
 
 _PAPER = Recipe()
 

@@ -46,7 +46,7 @@ def add(commands: Commands) -> None:
 
 
 def _digest(options: argparse.Namespace) -> int:
-    from softtissue_training.archive import digest_of
+    from softtissue_training.simulation.archive import digest_of
 
     value, count = digest_of(options.data)
     print(f"{value}  {count} organs in {options.data}")
@@ -54,7 +54,7 @@ def _digest(options: argparse.Namespace) -> int:
 
 
 def _pack(options: argparse.Namespace) -> int:
-    from softtissue_training.archive import pack
+    from softtissue_training.simulation.archive import pack
 
     count = pack(options.folder, options.file, compact=options.compact)
     print(f"{count} organs in {options.file}, {options.file.stat().st_size / 1e3 / count:.1f} kB each")
@@ -64,9 +64,9 @@ def _pack(options: argparse.Namespace) -> int:
 def _convert(options: argparse.Namespace) -> int:
     from tqdm import tqdm
 
-    from softtissue_training.archive import list_records, read_records
-    from softtissue_training.record_format import parse_record
-    from softtissue_training.vtu import write_vtu
+    from softtissue_training.simulation.archive import list_records, read_records
+    from softtissue_training.simulation.record_format import parse_record
+    from softtissue_training.simulation.vtu import write_vtu
 
     names = list_records(options.data)[: options.count]
     written = 0

@@ -29,8 +29,8 @@ def add(commands: Commands) -> None:
 def _show(options: argparse.Namespace) -> int:
     from tqdm import tqdm
 
-    from softtissue_training.simulate import simulate
-    from softtissue_training.simulation_picture import draw_simulations
+    from softtissue_training.simulation.simulate import simulate
+    from softtissue_training.simulation.simulation_picture import draw_simulations
 
     recipe = recipe_from(options)
     file = options.out or Path(f"simulations_{options.seed}.png")

@@ -9,8 +9,8 @@ from typing import Any
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.cli.arguments import Commands, positive
-from softtissue_training.precision import PRECISIONS
-from softtissue_training.training_config import CONFIGS, get_config
+from softtissue_training.learning.precision import PRECISIONS
+from softtissue_training.learning.training_config import CONFIGS, get_config
 
 _DESCRIPTION = """\
 Train the network on simulations made by `generate`. One organ in ten is held out for validation.
@@ -156,11 +156,11 @@ def _train(options: argparse.Namespace) -> int:
     import torch
 
     from softtissue_estimator.device import choose_device
-    from softtissue_training.distributed import joined, local_device
-    from softtissue_training.precision import choose_bfloat16
-    from softtissue_training.run_files import STATE
-    from softtissue_training.schedule import Schedule
-    from softtissue_training.train import RunOptions, train
+    from softtissue_training.learning.distributed import joined, local_device
+    from softtissue_training.learning.precision import choose_bfloat16
+    from softtissue_training.learning.run_files import STATE
+    from softtissue_training.learning.schedule import Schedule
+    from softtissue_training.learning.train import RunOptions, train
 
     if (options.out / STATE).exists() and not options.resume:
         raise InvalidInputError(f"{options.out} holds a run already; add --resume to go on with it")

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.errors import SolverDivergedError
-from softtissue_training.material import Material
-from softtissue_training.pressure import SurfacePressure
+from softtissue_training.physics.material import Material
+from softtissue_training.physics.pressure import SurfacePressure
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -51,7 +51,7 @@ def solve_with_calculix(
     Parameters
     ----------
     vertices, tets, fixed, force, material, pressure
-        As in `softtissue_training.solver.solve`; the material is St Venant-Kirchhoff, or neo-Hookean with a Poisson's
+        As in `physics.solver.solve`; the material is St Venant-Kirchhoff, or neo-Hookean with a Poisson's
         ratio of zero.
     increment
         Share of the load in each increment, as long as they converge. CalculiX lets pressure follow the surface from

@@ -16,10 +16,10 @@ from softtissue_training.comparison.felupe_solver import solve_with_felupe
 from softtissue_training.comparison.scikit_fem import solve_with_scikit_fem
 from softtissue_training.comparison.torch_fem import solve_with_torch_fem
 from softtissue_training.errors import SolverDivergedError
-from softtissue_training.material import Law, Material
-from softtissue_training.recipe import Recipe
-from softtissue_training.simulate import simulate
-from softtissue_training.solver import solve
+from softtissue_training.physics.material import Law, Material
+from softtissue_training.physics.solver import solve
+from softtissue_training.simulation.recipe import Recipe
+from softtissue_training.simulation.simulate import simulate
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -28,7 +28,7 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Case:
-    """One body and its load, as the arguments of `softtissue_training.solver.solve`."""
+    """One body and its load, as the arguments of `softtissue_training.physics.solver.solve`."""
 
     vertices: FloatArray
     tets: IntArray

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_training.errors import SolverDivergedError
-from softtissue_training.load_stepping import apply_load
-from softtissue_training.material import Material
+from softtissue_training.physics.load_stepping import apply_load
+from softtissue_training.physics.material import Material
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

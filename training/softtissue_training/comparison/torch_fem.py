@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_training.errors import SolverDivergedError
-from softtissue_training.material import Material
+from softtissue_training.physics.material import Material
 
 if TYPE_CHECKING:
     import torch
@@ -30,7 +30,7 @@ def solve_with_torch_fem(
 ) -> FloatArray:
     """Return the equilibrium displacement, (n, 3) metres, of tetrahedra of four or ten nodes under dead forces.
 
-    The body, its support and its load are as in `softtissue_training.solver.solve`; increments that do not converge are
+    The body, its support and its load are as in `physics.solver.solve`; increments that do not converge are
     divided by torch-fem itself.
 
     Raises

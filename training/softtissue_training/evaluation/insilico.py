@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.archive import list_records, read_records
 from softtissue_training.evaluation.case import EvaluationCase
 from softtissue_training.evaluation.measured import CaseResult
 from softtissue_training.evaluation.methods import MethodSpec
 from softtissue_training.evaluation.observe import ObservationSettings, simulated_case
 from softtissue_training.evaluation.report import summarise, table, write_csv, write_json
 from softtissue_training.evaluation.runner import evaluate
-from softtissue_training.record_format import content_hash, parse_record
+from softtissue_training.simulation.archive import list_records, read_records
+from softtissue_training.simulation.record_format import content_hash, parse_record
 
 _VERSION = 2  # of how cases are made
 ANSWERS, ROWS, SUMMARY, FIGURES = "answers", "samples.csv", "evaluation.json", "figures"

@@ -31,7 +31,7 @@ from softtissue_training.evaluation.case import EvaluationCase
 
 FloatArray = NDArray[np.float64]
 
-_COMMON = ("evaluation/case.py", "evaluation/observe.py", "evaluation/methods.py", "surface_patch.py")
+_COMMON = ("evaluation/case.py", "evaluation/observe.py", "evaluation/methods.py", "organs/surface_patch.py")
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +253,7 @@ def _sources(kind: str) -> list[Path]:
     training = Path(softtissue_training.__file__).parent
     files = [training / name for name in _COMMON]
     if kind == "fem":
-        files += [training / "evaluation" / "prescribed.py", *sorted(training.glob("*.py"))]
+        files += [training / "evaluation" / "prescribed.py", *sorted((training / "physics").glob("*.py"))]
     if kind not in _FUNCTIONS:
         files += sorted(Path(softtissue_estimator.__file__).parent.glob("*.py"))
     return files

@@ -14,8 +14,8 @@ from softtissue_estimator.observation import Observation, make_observation
 from softtissue_estimator.organ import Organ, make_organ
 from softtissue_estimator.volume_mesh import VolumeMesh
 from softtissue_training.evaluation.case import EvaluationCase, depth_below
-from softtissue_training.sample import Sample
-from softtissue_training.surface_patch import grow_patch, surface_distance
+from softtissue_training.organs.surface_patch import grow_patch, surface_distance
+from softtissue_training.simulation.sample import Sample
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -12,8 +12,8 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.mesh import SurfaceMesh
 from softtissue_estimator.observation import Observation
 from softtissue_training.evaluation.case import EvaluationCase
-from softtissue_training.material import Material
-from softtissue_training.solver import solve
+from softtissue_training.physics.material import Material
+from softtissue_training.physics.solver import solve
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

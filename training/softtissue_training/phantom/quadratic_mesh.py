@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from softtissue_training.tetrahedralise import TetMesh
+from softtissue_training.organs.tetrahedralise import TetMesh
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

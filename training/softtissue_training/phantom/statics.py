@@ -22,8 +22,8 @@ from torchfem.materials import Hyperelastic3D
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.errors import SolverDivergedError
-from softtissue_training.linear_solver import SymmetricSolver, make_solver
 from softtissue_training.phantom.quadratic_mesh import QuadraticMesh
+from softtissue_training.physics.linear_solver import SymmetricSolver, make_solver
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

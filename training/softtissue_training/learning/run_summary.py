@@ -7,11 +7,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from softtissue_training.provenance import commit, versions
-from softtissue_training.simulation_set import SimulationSet
-from softtissue_training.training_config import TrainingConfig
-from softtissue_training.training_state import Progress
-from softtissue_training.validation import ValidationResult
+from softtissue_training.learning.provenance import commit, versions
+from softtissue_training.learning.simulation_set import SimulationSet
+from softtissue_training.learning.training_config import TrainingConfig
+from softtissue_training.learning.training_state import Progress
+from softtissue_training.learning.validation import ValidationResult
 
 SUMMARY = "summary.json"
 

@@ -8,7 +8,7 @@ from typing import Any
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.network import UNetArchitecture
 from softtissue_estimator.network_input import NetworkSpec
-from softtissue_training.organ_shape import CUBE_SIDE_M
+from softtissue_training.organs.organ_shape import CUBE_SIDE_M
 
 
 @dataclass(frozen=True)

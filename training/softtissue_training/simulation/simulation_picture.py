@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.mesh import SurfaceMesh, enclosed_volume
 from softtissue_estimator.rendering import draw_solid, look_from, reduce_image
-from softtissue_training.sample import Sample
+from softtissue_training.simulation.sample import Sample
 
 FloatArray = NDArray[np.float64]
 

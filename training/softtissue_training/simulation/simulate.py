@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import MeshError
-from softtissue_training.boundary_conditions import random_boundary_conditions, weight
 from softtissue_training.errors import RejectedSampleError, SolverDivergedError
-from softtissue_training.organ_shape import CUBE_SIDE_M, random_organ_surface
-from softtissue_training.pressure import SurfacePressure
-from softtissue_training.recipe import Recipe
-from softtissue_training.sample import Record, Sample
-from softtissue_training.solver import solve
-from softtissue_training.tetrahedralise import TetMesh, tetrahedralise
+from softtissue_training.organs.organ_shape import CUBE_SIDE_M, random_organ_surface
+from softtissue_training.organs.tetrahedralise import TetMesh, tetrahedralise
+from softtissue_training.physics.pressure import SurfacePressure
+from softtissue_training.physics.solver import solve
+from softtissue_training.simulation.boundary_conditions import random_boundary_conditions, weight
+from softtissue_training.simulation.recipe import Recipe
+from softtissue_training.simulation.sample import Record, Sample
 
 MAXIMUM_DISPLACEMENT_M = 0.10
 """Simulations that move any point further are discarded (paper, section "Training data")."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from softtissue_training.linear_solver import make_solver
+from softtissue_training.physics.linear_solver import make_solver
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

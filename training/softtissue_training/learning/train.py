@@ -12,20 +12,20 @@ import torch
 from tqdm import tqdm
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.batch_source import BatchSource, fixed_view
-from softtissue_training.dataset import draw_visible, voxelise
-from softtissue_training.distributed import Ranks
 from softtissue_training.errors import TrainingFailedError
-from softtissue_training.learner import Batch, Learner
-from softtissue_training.run_files import STATE, RunFiles
-from softtissue_training.run_summary import RunSummary, summarise
-from softtissue_training.schedule import Schedule
-from softtissue_training.simulation_set import SimulationSet
-from softtissue_training.stop_signal import ended_by_signal
-from softtissue_training.streams import Purpose, stream
-from softtissue_training.training_config import TrainingConfig
-from softtissue_training.training_state import Progress, load_state
-from softtissue_training.validation import Validation, ValidationResult
+from softtissue_training.learning.batch_source import BatchSource, fixed_view
+from softtissue_training.learning.dataset import draw_visible, voxelise
+from softtissue_training.learning.distributed import Ranks
+from softtissue_training.learning.learner import Batch, Learner
+from softtissue_training.learning.run_files import STATE, RunFiles
+from softtissue_training.learning.run_summary import RunSummary, summarise
+from softtissue_training.learning.schedule import Schedule
+from softtissue_training.learning.simulation_set import SimulationSet
+from softtissue_training.learning.stop_signal import ended_by_signal
+from softtissue_training.learning.streams import Purpose, stream
+from softtissue_training.learning.training_config import TrainingConfig
+from softtissue_training.learning.training_state import Progress, load_state
+from softtissue_training.learning.validation import Validation, ValidationResult
 
 
 @dataclass(frozen=True)

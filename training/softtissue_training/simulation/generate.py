@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING
 from tqdm import tqdm
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.archive import (
+from softtissue_training.simulation.archive import (
     list_records,
     read_records,
     record_name,
     record_number,
     write_record,
 )
-from softtissue_training.recipe import Recipe
-from softtissue_training.record_format import format_record, parse_record
-from softtissue_training.simulate import simulate
+from softtissue_training.simulation.recipe import Recipe
+from softtissue_training.simulation.record_format import format_record, parse_record
+from softtissue_training.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from distributed import Client, Future

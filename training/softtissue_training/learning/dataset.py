@@ -27,10 +27,10 @@ from softtissue_estimator.network_input import (
     to_batch,
 )
 from softtissue_estimator.rasterise import rasterise_many
-from softtissue_training.organ_shape import CUBE_SIDE_M
-from softtissue_training.sample import Sample
-from softtissue_training.surface_patch import edge_graph, grow_patch
-from softtissue_training.voxel_target import voxel_displacement
+from softtissue_training.learning.voxel_target import voxel_displacement
+from softtissue_training.organs.organ_shape import CUBE_SIDE_M
+from softtissue_training.organs.surface_patch import edge_graph, grow_patch
+from softtissue_training.simulation.sample import Sample
 
 FloatArray = NDArray[np.float64]
 Share = tuple[float, float]

@@ -12,10 +12,10 @@ from torch import Tensor
 from softtissue_estimator.network import UNet
 from softtissue_estimator.network_input import NetworkSpec
 from softtissue_estimator.rigid import fit_rigid
-from softtissue_training.batch_order import slots_of
-from softtissue_training.box import crop, own_box
-from softtissue_training.dataset import PreparedSample, voxelise
-from softtissue_training.distributed import Ranks
+from softtissue_training.learning.batch_order import slots_of
+from softtissue_training.learning.box import crop, own_box
+from softtissue_training.learning.dataset import PreparedSample, voxelise
+from softtissue_training.learning.distributed import Ranks
 
 
 @dataclass(frozen=True)

@@ -22,12 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.averaged_body import AveragedBody
-from softtissue_training.body import Body
 from softtissue_training.errors import SolverDivergedError
-from softtissue_training.load_stepping import apply_load
-from softtissue_training.material import Material
-from softtissue_training.pressure import SurfacePressure
+from softtissue_training.physics.averaged_body import AveragedBody
+from softtissue_training.physics.body import Body
+from softtissue_training.physics.load_stepping import apply_load
+from softtissue_training.physics.material import Material
+from softtissue_training.physics.pressure import SurfacePressure
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.small_matrices import determinant, inverse
+from softtissue_training.physics.small_matrices import determinant, inverse
 
 FloatArray = NDArray[np.float64]
 Law = Literal["neo_hookean", "st_venant_kirchhoff"]

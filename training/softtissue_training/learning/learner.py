@@ -9,10 +9,10 @@ import torch
 from torch import Tensor, nn
 
 from softtissue_estimator.network import UNet, initialise
-from softtissue_training.distributed import Ranks
-from softtissue_training.loss import sample_losses
-from softtissue_training.precision import restrict_autocast
-from softtissue_training.training_config import TrainingConfig
+from softtissue_training.learning.distributed import Ranks
+from softtissue_training.learning.loss import sample_losses
+from softtissue_training.learning.precision import restrict_autocast
+from softtissue_training.learning.training_config import TrainingConfig
 
 CLIP_NORM = 1.0
 

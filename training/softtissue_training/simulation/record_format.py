@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training import compact
-from softtissue_training.material import Material
-from softtissue_training.recipe import Recipe
-from softtissue_training.sample import Record, Sample
+from softtissue_training.physics.material import Material
+from softtissue_training.simulation import compact
+from softtissue_training.simulation.recipe import Recipe
+from softtissue_training.simulation.sample import Record, Sample
 
 _ARRAYS = ("vertices", "tets", "faces", "attached", "force", "displacement", "pressure")
 

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.mesh import SurfaceMesh, enclosed_volume
-from softtissue_training.deformations import bend, extrude, push, superellipsoid, taper, twist
-from softtissue_training.resampling import resample
+from softtissue_training.organs.deformations import bend, extrude, push, superellipsoid, taper, twist
+from softtissue_training.organs.resampling import resample
 
 FloatArray = NDArray[np.float64]
 Shapes = Literal["random", "liver", "mixed"]

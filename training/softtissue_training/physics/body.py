@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.block_system import PAIR_FIRST, PAIR_SECOND, BlockSystem
-from softtissue_training.material import Material
-from softtissue_training.small_matrices import inverse
+from softtissue_training.physics.block_system import PAIR_FIRST, PAIR_SECOND, BlockSystem
+from softtissue_training.physics.material import Material
+from softtissue_training.physics.small_matrices import inverse
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

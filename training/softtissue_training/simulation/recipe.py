@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.material import LAWS, Law, Material
-from softtissue_training.organ_shape import SHAPES, Shapes
+from softtissue_training.organs.organ_shape import SHAPES, Shapes
+from softtissue_training.physics.material import LAWS, Law, Material
 
 Range = tuple[float, float]
 

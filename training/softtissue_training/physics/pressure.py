@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.block_system import PAIR_FIRST, PAIR_SECOND
+from softtissue_training.physics.block_system import PAIR_FIRST, PAIR_SECOND
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

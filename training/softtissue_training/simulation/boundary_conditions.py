@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.mesh import SurfaceMesh, vertex_areas
 from softtissue_training.errors import RejectedSampleError
-from softtissue_training.recipe import Recipe
-from softtissue_training.surface_patch import random_patch
-from softtissue_training.tetrahedralise import TetMesh, signed_volumes
+from softtissue_training.organs.surface_patch import random_patch
+from softtissue_training.organs.tetrahedralise import TetMesh, signed_volumes
+from softtissue_training.simulation.recipe import Recipe
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.mesh import SurfaceMesh
-from softtissue_training.material import Material
-from softtissue_training.recipe import Recipe
+from softtissue_training.physics.material import Material
+from softtissue_training.simulation.recipe import Recipe
 
 
 @dataclass(frozen=True)

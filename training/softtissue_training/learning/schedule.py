@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.training_config import TrainingConfig
-from softtissue_training.training_state import Progress
+from softtissue_training.learning.training_config import TrainingConfig
+from softtissue_training.learning.training_state import Progress
 
 
 @dataclass(frozen=True)

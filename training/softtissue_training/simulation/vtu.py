@@ -7,7 +7,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from softtissue_training.sample import Record
+from softtissue_training.simulation.sample import Record
 
 
 def write_vtu(folder: Path, record: Record) -> list[Path]:

@@ -9,13 +9,13 @@ from pathlib import Path
 from tqdm import tqdm
 
 from softtissue_estimator.checkpoint import save_checkpoint
-from softtissue_training.learner import Learner
-from softtissue_training.run_log import CsvLog, TensorBoardLog
-from softtissue_training.run_summary import provenance
-from softtissue_training.simulation_set import SimulationSet
-from softtissue_training.training_config import TrainingConfig
-from softtissue_training.training_state import Progress, save_state
-from softtissue_training.validation import ValidationResult
+from softtissue_training.learning.learner import Learner
+from softtissue_training.learning.run_log import CsvLog, TensorBoardLog
+from softtissue_training.learning.run_summary import provenance
+from softtissue_training.learning.simulation_set import SimulationSet
+from softtissue_training.learning.training_config import TrainingConfig
+from softtissue_training.learning.training_state import Progress, save_state
+from softtissue_training.learning.validation import ValidationResult
 
 WEIGHTS, STATE, CONFIG, LOG, LOSS = (
     "best.safetensors",

@@ -16,7 +16,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.record_format import content_hash, format_compact, parse_record
+from softtissue_training.simulation.record_format import content_hash, format_compact, parse_record
 
 _SUFFIX, _COMPACT = ".npz", ".sim"
 
@@ -87,7 +87,7 @@ def pack(folder: Path, target: Path, *, compact: bool = False) -> int:
     Parameters
     ----------
     compact
-        Round and compress them further (`softtissue_training.compact`).
+        Round and compress them further (`softtissue_training.simulation.compact`).
     """
     names = list_records(folder)
     if not names:

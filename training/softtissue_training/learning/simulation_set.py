@@ -12,10 +12,10 @@ from tqdm import tqdm
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.network_input import NetworkSpec
-from softtissue_training.archive import digest, list_records, read_records
-from softtissue_training.dataset import PreparedSample, prepare
-from softtissue_training.record_format import content_hash, parse_record
-from softtissue_training.training_config import TrainingConfig
+from softtissue_training.learning.dataset import PreparedSample, prepare
+from softtissue_training.learning.training_config import TrainingConfig
+from softtissue_training.simulation.archive import digest, list_records, read_records
+from softtissue_training.simulation.record_format import content_hash, parse_record
 
 _Task = tuple[str, bytes, NetworkSpec, bool]
 

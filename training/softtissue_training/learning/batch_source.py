@@ -10,15 +10,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from softtissue_training.augment import random_orientation
-from softtissue_training.batch_order import epoch_batches, slots_of
-from softtissue_training.box import Counts, crop, draw_box, draw_growth
-from softtissue_training.dataset import PreparedSample, draw_visible, voxelise_many
-from softtissue_training.distributed import Ranks
-from softtissue_training.learner import Batch
-from softtissue_training.simulation_set import SimulationSet
-from softtissue_training.streams import Purpose, stream
-from softtissue_training.training_config import TrainingConfig
+from softtissue_training.learning.augment import random_orientation
+from softtissue_training.learning.batch_order import epoch_batches, slots_of
+from softtissue_training.learning.box import Counts, crop, draw_box, draw_growth
+from softtissue_training.learning.dataset import PreparedSample, draw_visible, voxelise_many
+from softtissue_training.learning.distributed import Ranks
+from softtissue_training.learning.learner import Batch
+from softtissue_training.learning.simulation_set import SimulationSet
+from softtissue_training.learning.streams import Purpose, stream
+from softtissue_training.learning.training_config import TrainingConfig
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Random organs: surfaces, the tetrahedra inside them, and patches of them."""

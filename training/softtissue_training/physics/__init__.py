@@ -1,0 +1,1 @@
+"""Static equilibrium of hyperelastic bodies of four-node tetrahedra."""

@@ -1,0 +1,1 @@
+"""Simulations: what they are drawn from, how they are made, and how they are stored."""
