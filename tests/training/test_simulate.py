@@ -89,6 +89,18 @@ def test_gravity_alone_lets_the_organ_hang():
     assert (sample.displacement @ sample.gravity).mean() > 0.0
 
 
+def test_pressure_alone_pushes_its_patch_inwards():
+    recipe = dataclasses.replace(COARSE, forces=(0, 0), pressure_pa=(20.0, 40.0))
+    sample = simulate(5, 1, recipe).simulations[0]
+    pressed = sample.faces[sample.pressure > 0.0]
+    assert set(np.unique(sample.pressure[sample.pressure > 0.0]).tolist()) == {float(sample.pressure.max())}
+    assert 20.0 <= sample.pressure.max() <= 40.0
+    corners = sample.vertices[pressed].astype(float)
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    moved = sample.displacement[pressed].mean(axis=1)
+    assert np.sum(moved * outward) < 0.0
+
+
 def test_weight_is_mass_times_gravity(samples):
     mesh = TetMesh(
         samples[0].vertices.astype(float), samples[0].tets.astype(int), samples[0].faces.astype(int)
