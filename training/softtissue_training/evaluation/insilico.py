@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
@@ -19,7 +19,7 @@ from softtissue_training.evaluation.methods import MethodSpec
 from softtissue_training.evaluation.observe import ObservationSettings, simulated_case
 from softtissue_training.evaluation.report import summarise, table, write_csv, write_json
 from softtissue_training.evaluation.runner import evaluate
-from softtissue_training.simulation.archive import list_records, read_records
+from softtissue_training.simulation.archive import digest, list_records, read_records
 from softtissue_training.simulation.record_format import content_hash, parse_record
 
 _VERSION = 2  # of how cases are made
@@ -107,11 +107,7 @@ def simulated_organs(
         SimulatedOrgan(data, name, settings, seed, _key(content, settings, seed))
         for name, content in hashes.items()
     ]
-    return jobs, _digest(hashes)
-
-
-def _digest(hashes: Mapping[str, str]) -> str:
-    return hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
+    return jobs, digest(hashes)
 
 
 def _key(content: str, settings: ObservationSettings, seed: int) -> str:
