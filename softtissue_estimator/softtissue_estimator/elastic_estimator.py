@@ -77,7 +77,7 @@ class ElasticEstimate(Estimate):
         self._nodal_displacement = nodal_displacement
         self._nodal_variance = nodal_sigma**2 + model_sigma_m**2
         self.stages = stages
-        self.displacement, self.sigma = self._at(prepared.organ.query_points, prepared.query)
+        self.displacement, self.sigma = self.interpolated(prepared.organ.query_points, prepared.query)
 
     def displacement_at(self, points: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """See `Estimate.displacement_at`."""
@@ -85,9 +85,10 @@ class ElasticEstimate(Estimate):
             raise InvalidInputError(
                 f"points to warp: expected finite numbers of shape (k, 3), got {points.shape}"
             )
-        return self._at(points, self._mesh.interpolation(points))
+        return self.interpolated(points, self._mesh.interpolation(points))
 
-    def _at(self, points: FloatArray, interpolation: csr_array) -> tuple[FloatArray, FloatArray]:
+    def interpolated(self, points: FloatArray, interpolation: csr_array) -> tuple[FloatArray, FloatArray]:
+        """Displacement (k, 3) m and sigma (k,) m of points that `ElasticEstimator.interpolation` has located."""
         moved = self._motion.apply(points + interpolation @ self._nodal_displacement)
         # Weights below zero would subtract variance outside the mesh.
         variance = np.maximum(interpolation @ self._nodal_variance, self._nodal_variance.min())
@@ -117,6 +118,12 @@ class ElasticEstimator(Estimator):
         """See `Estimator.load_organ`."""
         with self._threads.limit(limits=1, user_api="blas"):
             self._prepared = _load(organ, self._config, progress)
+
+    def interpolation(self, points: FloatArray) -> csr_array:
+        """Locate points (k, 3) m of the loaded organ once, for `ElasticEstimate.interpolated` in every frame."""
+        if self._prepared is None:
+            raise InvalidInputError("elastic estimator: expected load_organ before interpolation, got no organ")
+        return self._prepared.mesh.interpolation(points)
 
     def estimate(self, observation: Observation) -> ElasticEstimate:
         """See `Estimator.estimate`."""
