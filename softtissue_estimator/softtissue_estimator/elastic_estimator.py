@@ -45,7 +45,7 @@ class _Prepared:
 
 
 @dataclass(frozen=True, eq=False)
-class _Patches:
+class SeenPatches:
     """Observations of one small patch of surface each, averaged.
 
     Parameters
@@ -61,17 +61,25 @@ class _Patches:
 
 
 class ElasticEstimate(Estimate):
-    """Posterior displacement at the nodes of the coarse mesh, and a rigid motion after it."""
+    """Posterior displacement at the nodes of the coarse mesh, and a rigid motion after it.
+
+    Attributes
+    ----------
+    seen : SeenPatches
+        What it was conditioned on.
+    """
 
     def __init__(
         self,
         prepared: _Prepared,
+        seen: SeenPatches,
         motion: RigidMotion,
         nodal_displacement: FloatArray,
         nodal_sigma: FloatArray,
         model_sigma_m: float,
         stages: dict[str, float],
     ) -> None:
+        self.seen = seen
         self._mesh = prepared.mesh
         self._motion = motion
         self._nodal_displacement = nodal_displacement
@@ -119,6 +127,13 @@ class ElasticEstimator(Estimator):
         with self._threads.limit(limits=1, user_api="blas"):
             self._prepared = _load(organ, self._config, progress)
 
+    @property
+    def mesh(self) -> VolumeMesh:
+        """Tetrahedra of the loaded organ: every answer's displacement and variance are linear in each of them."""
+        if self._prepared is None:
+            raise InvalidInputError("elastic estimator: expected load_organ before mesh, got no organ")
+        return self._prepared.mesh
+
     def interpolation(self, points: FloatArray) -> csr_array:
         """Locate points (k, 3) m of the loaded organ once, for `ElasticEstimate.interpolated` in every frame."""
         if self._prepared is None:
@@ -154,7 +169,7 @@ class ElasticEstimator(Estimator):
         sigma = standard_deviation(prepared.prior, posterior)
         watch.lap("uncertainty")
         estimate = ElasticEstimate(
-            prepared, motion, posterior.mean + lift, sigma, self._config.model_sigma_m, watch.stages
+            prepared, patches, motion, posterior.mean + lift, sigma, self._config.model_sigma_m, watch.stages
         )
         watch.lap("warp")
         return estimate
@@ -214,7 +229,7 @@ def _lift(prior: ElasticPrior, motion: RigidMotion) -> FloatArray:
     return prior.lifted(motion.rotation.T - np.eye(3), constant)
 
 
-def _average(observation: Observation, lookup: SurfaceLookup, model_sigma_m: float) -> _Patches:
+def _average(observation: Observation, lookup: SurfaceLookup, model_sigma_m: float) -> SeenPatches:
     sample = lookup.nearest_sample(observation.reference)
     if (sample < 0).any():
         raise InvalidInputError(
@@ -237,7 +252,7 @@ def _average(observation: Observation, lookup: SurfaceLookup, model_sigma_m: flo
         deviation = np.linalg.norm(observation.displacement - means[patch, 3:], axis=1) * np.sqrt(weight)
     seen = total > 0.0
     variance = 1.0 / total[seen] + model_sigma_m**2
-    return _Patches(means[seen, :3], means[seen, 3:], 1.0 / variance)
+    return SeenPatches(means[seen, :3], means[seen, 3:], 1.0 / variance)
 
 
 def _weighted_means(
