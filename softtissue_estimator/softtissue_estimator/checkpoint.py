@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
+from torch import Tensor, nn
 
 from softtissue_estimator.errors import CheckpointError
 from softtissue_estimator.network import UNet, UNetArchitecture
@@ -19,6 +20,7 @@ from softtissue_estimator.network_input import NetworkSpec
 
 FORMAT = "softtissue-checkpoint"
 VERSION = 1
+KIND = "paper"
 
 
 @dataclass(frozen=True)
@@ -52,17 +54,7 @@ def save_checkpoint(
     half
         Store float16, half the size; SoftSign networks lose less than a hundredth of a millimetre by it.
     """
-    dtype = torch.float16 if half else torch.float32
-    tensors = {name: t.detach().to("cpu", dtype).contiguous() for name, t in network.state_dict().items()}
-    metadata = {
-        "format": FORMAT,
-        "version": str(VERSION),
-        "spec": json.dumps(dataclasses.asdict(spec)),
-        "provenance": json.dumps(provenance),
-    }
-    partial = path.with_name(path.name + ".partial")
-    save_file(tensors, partial, metadata=metadata)
-    os.replace(partial, path)
+    write_weights(path, KIND, network, dataclasses.asdict(spec), provenance, half=half)
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
@@ -73,24 +65,10 @@ def load_checkpoint(path: Path) -> Checkpoint:
     CheckpointError
         The file is missing, damaged, no checkpoint of this software, or does not fit the architecture it names.
     """
-    if not path.is_file():
-        raise CheckpointError(f"checkpoint {path} does not exist; expected a .safetensors file")
-    try:
-        with safe_open(path, framework="pt") as stored:
-            metadata = stored.metadata() or {}
-            tensors = {name: stored.get_tensor(name).float() for name in stored.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
-        raise CheckpointError(f"checkpoint {path} is damaged or not a safetensors file: {error}") from error
-    if metadata.get("format") != FORMAT:
-        raise CheckpointError(
-            f"checkpoint {path} was not written by this software: expected the format '{FORMAT}' in its metadata, "
-            f"got '{metadata.get('format', 'none')}'"
-        )
-    if metadata.get("version") != str(VERSION):
-        raise CheckpointError(f"checkpoint {path} has version {metadata.get('version')}, expected {VERSION}")
+    metadata, tensors = read_weights(path, KIND)
     spec, provenance = _parse(path, metadata)
     network = UNet(spec.architecture)
-    _check_shapes(path, network, tensors)
+    check_shapes(path, network, tensors)
     network.load_state_dict(tensors)
     return Checkpoint(network.eval().requires_grad_(False), spec, provenance)
 
@@ -114,7 +92,94 @@ def _parse(path: Path, metadata: dict[str, str]) -> tuple[NetworkSpec, dict[str,
     return spec, provenance
 
 
-def _check_shapes(path: Path, network: UNet, tensors: dict[str, torch.Tensor]) -> None:
+def read_provenance(path: Path) -> dict[str, Any]:
+    """Return how weights of any kind came about, as their checkpoint says.
+
+    Raises
+    ------
+    CheckpointError
+        The file is missing, damaged or no checkpoint of this software.
+    """
+    metadata, _ = read_weights(path, None)
+    try:
+        provenance: dict[str, Any] = json.loads(metadata["provenance"])
+    except (KeyError, ValueError) as error:
+        raise CheckpointError(f"checkpoint {path} has unreadable metadata: {error}") from error
+    return provenance
+
+
+def checkpoint_kind(path: Path) -> str:
+    """Return which kind of network a checkpoint holds, such as 'paper' or 'hybrid'; raises as `read_provenance`."""
+    metadata, _ = read_weights(path, None)
+    return metadata.get("kind", KIND)
+
+
+def write_weights(
+    path: Path, kind: str, network: nn.Module, spec: dict[str, Any], provenance: dict[str, Any], *, half: bool
+) -> None:
+    """Write weights and metadata; an existing file is replaced only when the new one is complete.
+
+    Parameters
+    ----------
+    kind
+        Which kind of network this is.
+    spec, provenance
+        Anything that JSON can hold.
+    half
+        Store float16.
+    """
+    dtype = torch.float16 if half else torch.float32
+    tensors = {name: t.detach().to("cpu", dtype).contiguous() for name, t in network.state_dict().items()}
+    metadata = {
+        "format": FORMAT,
+        "version": str(VERSION),
+        "kind": kind,
+        "spec": json.dumps(spec),
+        "provenance": json.dumps(provenance),
+    }
+    partial = path.with_name(path.name + ".partial")
+    save_file(tensors, partial, metadata=metadata)
+    os.replace(partial, path)
+
+
+def read_weights(path: Path, kind: str | None) -> tuple[dict[str, str], dict[str, Tensor]]:
+    """Read metadata and weights (float32) of a checkpoint of the given kind, or of any if None.
+
+    Raises
+    ------
+    CheckpointError
+        The file is missing, damaged, no checkpoint of this software, or holds another kind of network.
+    """
+    if not path.is_file():
+        raise CheckpointError(f"checkpoint {path} does not exist; expected a .safetensors file")
+    try:
+        with safe_open(path, framework="pt") as stored:
+            metadata = stored.metadata() or {}
+            tensors = {name: stored.get_tensor(name).float() for name in stored.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise CheckpointError(f"checkpoint {path} is damaged or not a safetensors file: {error}") from error
+    if metadata.get("format") != FORMAT:
+        raise CheckpointError(
+            f"checkpoint {path} was not written by this software: expected the format '{FORMAT}' in its metadata, "
+            f"got '{metadata.get('format', 'none')}'"
+        )
+    if metadata.get("version") != str(VERSION):
+        raise CheckpointError(f"checkpoint {path} has version {metadata.get('version')}, expected {VERSION}")
+    # Files written before there were other kinds name none.
+    found = metadata.get("kind", KIND)
+    if kind is not None and found != kind:
+        raise CheckpointError(f"checkpoint {path}: expected weights of '{kind}', got weights of '{found}'")
+    return metadata, tensors
+
+
+def check_shapes(path: Path, network: nn.Module, tensors: dict[str, Tensor]) -> None:
+    """Compare weights with what a network holds.
+
+    Raises
+    ------
+    CheckpointError
+        Names or shapes differ, or a weight is not finite.
+    """
     expected = {name: tuple(t.shape) for name, t in network.state_dict().items()}
     got = {name: tuple(t.shape) for name, t in tensors.items()}
     if expected != got:

@@ -1,10 +1,11 @@
-"""Choice of the device that a network runs on."""
+"""The device that a network runs on: its choice, and its clock."""
 
 from __future__ import annotations
 
 import torch
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.stopwatch import Stopwatch
 
 
 def choose_device(name: str) -> torch.device:
@@ -29,3 +30,10 @@ def choose_device(name: str) -> torch.device:
     if name not in ("cuda", "cpu"):
         raise InvalidInputError(f"parameter device: expected 'auto', 'cuda' or 'cpu', got {name!r}")
     return torch.device(name)
+
+
+def device_stopwatch(device: torch.device) -> Stopwatch:
+    """Return a stopwatch that waits for the GPU, so that a stage is charged with its own work."""
+    if device.type == "cuda":
+        return Stopwatch(finish=lambda: torch.cuda.synchronize(device))
+    return Stopwatch()

@@ -14,9 +14,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from softtissue_estimator.cache import Arrays, cached_arrays
 from softtissue_estimator.grid import VoxelGrid
 from softtissue_estimator.mesh import SurfaceMesh, sample_faces
 from softtissue_estimator.network import UNetArchitecture
+from softtissue_estimator.organ import Organ
 from softtissue_estimator.rasterise import rasterise
 from softtissue_estimator.signed_distance import signed_distance
 
@@ -122,6 +124,27 @@ def organ_channels(surface: SurfaceMesh, attached: NDArray[np.bool_], spec: Netw
         (n,) true for the attached vertices of the surface.
     """
     return channels_on_grid(organ_grid(surface, spec), surface, attached)
+
+
+def cached_channels(organ: Organ, grid: VoxelGrid) -> OrganChannels:
+    """Return signed distance and zero-displacement flag of an organ on a grid, kept in the user's cache."""
+
+    def compute() -> Arrays:
+        channels = channels_on_grid(grid, organ.surface, organ.attached)
+        return {
+            "signed_distance": channels.signed_distance.numpy(),
+            "zero_displacement": channels.zero_displacement.numpy(),
+        }
+
+    parameters: dict[str, float | int | str | bool] = {
+        "spacing": grid.spacing,
+        "shape": str(grid.shape),
+        "origin": str(grid.origin),
+    }
+    stored = cached_arrays("channels", organ.digest, PREPROCESSING_VERSION, parameters, compute)
+    return OrganChannels(
+        grid, torch.from_numpy(stored["signed_distance"]), torch.from_numpy(stored["zero_displacement"])
+    )
 
 
 def channels_on_grid(grid: VoxelGrid, surface: SurfaceMesh, attached: NDArray[np.bool_]) -> OrganChannels:

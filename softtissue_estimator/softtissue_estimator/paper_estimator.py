@@ -9,27 +9,24 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from softtissue_estimator.cache import Arrays, cached_arrays
 from softtissue_estimator.checkpoint import load_checkpoint
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.device import choose_device
+from softtissue_estimator.device import choose_device, device_stopwatch
 from softtissue_estimator.displacement_field import FieldSampler
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimator import Estimate, Estimator, Progress, silent
 from softtissue_estimator.network_input import (
-    PREPROCESSING_VERSION,
     NetworkSpec,
     OrganChannels,
     assemble_input,
+    cached_channels,
     from_batch,
-    organ_channels,
     organ_grid,
     visible_displacement,
 )
 from softtissue_estimator.observation import Observation
 from softtissue_estimator.organ import Organ
 from softtissue_estimator.resources import bundled_checkpoint
-from softtissue_estimator.stopwatch import Stopwatch
 
 FloatArray = NDArray[np.float64]
 
@@ -79,7 +76,7 @@ class PaperEstimator(Estimator):
         progress(
             f"{organ.name}: signed distance and attached region on a {1e3 * self._spec.spacing:.2f} mm grid"
         )
-        channels = _cached_channels(organ, self._spec)
+        channels = cached_channels(organ, organ_grid(organ.surface, self._spec))
         sampler = FieldSampler(channels.grid, channels.organ_mask, organ.query_points, self._device)
         self._channels, self._sampler = channels.to(self._device), sampler
 
@@ -87,7 +84,7 @@ class PaperEstimator(Estimator):
         """Rasterise the visible displacement, run the network, read its field at the organ's query points."""
         if self._channels is None or self._sampler is None:
             raise InvalidInputError("no organ is loaded: expected load_organ before the first observation")
-        watch = _stopwatch(self._device)
+        watch = device_stopwatch(self._device)
         with torch.inference_mode():
             visible = visible_displacement(
                 self._channels.grid,
@@ -110,31 +107,3 @@ class PaperEstimator(Estimator):
             raise InvalidInputError("no organ is loaded")
         field = from_batch(self._network(inputs)).float() * self._spec.output_scale
         return field * channels.organ_mask.unsqueeze(-1)
-
-
-def _cached_channels(organ: Organ, spec: NetworkSpec) -> OrganChannels:
-    grid = organ_grid(organ.surface, spec)
-
-    def compute() -> Arrays:
-        channels = organ_channels(organ.surface, organ.attached, spec)
-        return {
-            "signed_distance": channels.signed_distance.numpy(),
-            "zero_displacement": channels.zero_displacement.numpy(),
-        }
-
-    parameters: dict[str, float | int | str | bool] = {
-        "spacing": grid.spacing,
-        "shape": str(grid.shape),
-        "origin": str(grid.origin),
-    }
-    stored = cached_arrays("channels", organ.digest, PREPROCESSING_VERSION, parameters, compute)
-    return OrganChannels(
-        grid, torch.from_numpy(stored["signed_distance"]), torch.from_numpy(stored["zero_displacement"])
-    )
-
-
-def _stopwatch(device: torch.device) -> Stopwatch:
-    """Return a stopwatch that waits for the GPU, so that a stage is charged with its own work."""
-    if device.type == "cuda":
-        return Stopwatch(finish=lambda: torch.cuda.synchronize(device))
-    return Stopwatch()

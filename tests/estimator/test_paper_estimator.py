@@ -114,7 +114,7 @@ def test_second_load_from_the_cache_gives_the_same_answer(
     def must_not_run(*_: object) -> None:
         raise AssertionError("the channels were computed again")
 
-    monkeypatch.setattr("softtissue_estimator.paper_estimator.organ_channels", must_not_run)
+    monkeypatch.setattr("softtissue_estimator.network_input.channels_on_grid", must_not_run)
     second = _loaded(checkpoint, organ).estimate(observation)
     np.testing.assert_array_equal(first.displacement, second.displacement)
 

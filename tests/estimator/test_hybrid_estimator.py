@@ -1,0 +1,157 @@
+"""The hybrid estimator behind the interface of every estimator, beside the elastic one on which it builds."""
+
+import numpy as np
+import pytest
+import torch
+
+from estimator.shapes import ellipsoid, organ_of
+from softtissue_estimator import hybrid_estimator
+from softtissue_estimator.checkpoint import checkpoint_kind, load_checkpoint, read_provenance
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.elastic_estimator import ElasticEstimator
+from softtissue_estimator.errors import CheckpointError, InvalidInputError
+from softtissue_estimator.estimator import create_estimator
+from softtissue_estimator.hybrid_checkpoint import load_hybrid_checkpoint, save_hybrid_checkpoint
+from softtissue_estimator.hybrid_input import HybridSpec
+from softtissue_estimator.hybrid_network import HybridArchitecture, HybridNetwork, initialise
+from softtissue_estimator.mesh import sample_faces
+from softtissue_estimator.observation import Observation
+
+SURFACE = ellipsoid((0.08, 0.05, 0.04), subdivisions=3)
+ORGAN = organ_of(SURFACE, SURFACE.vertices[:, 0] < -0.05)
+SPEC = HybridSpec(architecture=HybridArchitecture(widths=(8, 8), groups=2))
+
+
+def bent(points):
+    """Smooth field, zero where x < -0.05: the free end bends towards z."""
+    lever = np.maximum(points[:, 0] + 0.05, 0.0)
+    return np.column_stack([0.0 * lever, 0.0 * lever, 1.2 * lever**2])
+
+
+@pytest.fixture(scope="module")
+def observation():
+    seen = SURFACE.triangles.mean(axis=1)[:, 2] > 0.01
+    points = sample_faces(SURFACE, seen, 0.004)[0]
+    return Observation(points, bent(points), np.full(len(points), 2e-4))
+
+
+@pytest.fixture(scope="module")
+def network():
+    made = HybridNetwork(SPEC.architecture)
+    initialise(made, torch.Generator().manual_seed(0))
+    return made
+
+
+def with_output(network, bias):
+    """Let a network answer the same four numbers everywhere."""
+    made = HybridNetwork(network.architecture)
+    made.load_state_dict(network.state_dict())
+    with torch.no_grad():
+        made.heads[0].bias.copy_(torch.tensor(bias))
+    return made
+
+
+def estimator_of(path, network, spec=SPEC):
+    save_hybrid_checkpoint(path, network, spec, {"command": "train it"})
+    made = create_estimator(EstimatorConfig(estimator="hybrid", checkpoint=str(path), device="cpu"))
+    made.load_organ(ORGAN)
+    return made
+
+
+def test_untrained_it_is_the_elastic_estimator_to_the_last_bit(tmp_path, network, observation):
+    hybrid = estimator_of(tmp_path / "zero.safetensors", network).estimate(observation)
+    elastic = ElasticEstimator(EstimatorConfig())
+    elastic.load_organ(ORGAN)
+    expected = elastic.estimate(observation)
+    points = np.random.default_rng(0).uniform(-0.03, 0.03, size=(40, 3))
+    inner = hybrid._elastic
+    ours = (hybrid.displacement, hybrid.sigma, *hybrid.displacement_at(points))
+    own = (inner.displacement, inner.sigma, *inner.displacement_at(points))
+    another = (expected.displacement, expected.sigma, *expected.displacement_at(points))
+    for found, same, close in zip(ours, own, another, strict=True):
+        np.testing.assert_array_equal(found, same)
+        np.testing.assert_allclose(found, close, atol=1e-12)  # linear algebra may round differently elsewhere
+    assert set(hybrid.stages) > set(expected.stages) | {"channels", "network", "remainder"}
+
+
+def test_outputs_move_points_by_parts_of_the_elastic_deviation(tmp_path, network, observation):
+    zero = estimator_of(tmp_path / "zero.safetensors", network).estimate(observation)
+    moved = with_output(network, [0.01, 0.0, -0.02, 0.1])
+    made = estimator_of(tmp_path / "moved.safetensors", moved, HybridSpec(architecture=SPEC.architecture))
+    estimate = made.estimate(observation)
+    expected = zero.displacement + zero.sigma[:, None] * [0.01, 0.0, -0.02]
+    np.testing.assert_allclose(estimate.displacement, expected, atol=1e-8)
+    np.testing.assert_allclose(estimate.sigma, zero.sigma * np.exp(0.1), rtol=1e-3)
+    at_vertices = estimate.displacement_at(SURFACE.vertices)
+    np.testing.assert_allclose(at_vertices[0], estimate.displacement, atol=1e-9)
+    np.testing.assert_allclose(at_vertices[1], estimate.sigma, rtol=1e-6)
+
+
+def test_it_reads_the_posterior_and_what_was_seen(tmp_path, network, observation, monkeypatch):
+    given = []
+    assemble = hybrid_estimator.assemble_hybrid_input
+    monkeypatch.setattr(hybrid_estimator, "assemble_hybrid_input", lambda *a: given.append(a) or assemble(*a))
+    made = estimator_of(tmp_path / "zero.safetensors", network)
+    estimate = made.estimate(observation)
+    channels, cells, mean, sigma, seen, _ = given[0]
+    centres = channels.grid.points()[cells.numpy()]
+    expected = estimate.displacement_at(centres)
+    np.testing.assert_allclose(mean.numpy(), expected[0], atol=1e-12)
+    np.testing.assert_allclose(sigma.numpy(), expected[1], rtol=1e-12)
+    reference = seen.reference.numpy()
+    assert 50 < len(reference) < len(observation.reference)
+    # The field is smooth: averaging over patches of 5 mm changes it by hundredths of a millimetre.
+    wanted = bent(reference) - estimate.displacement_at(reference)[0]
+    np.testing.assert_allclose(seen.misfit.numpy(), wanted, atol=2e-4)
+    assert np.linalg.norm(wanted, axis=1).max() > 4e-4
+
+
+def test_an_organ_that_cannot_be_used_leaves_the_one_before(tmp_path, network, observation):
+    made = estimator_of(tmp_path / "zero.safetensors", network)
+    before = made.estimate(observation).displacement
+    inside_out = type(SURFACE)(SURFACE.vertices, SURFACE.faces[:, ::-1])
+    with pytest.raises(Exception, match="positive volume"):
+        made.load_organ(organ_of(inside_out))
+    np.testing.assert_array_equal(made.estimate(observation).displacement, before)
+
+
+def test_without_an_organ_or_weights_one_sentence_says_so(tmp_path, network, observation, monkeypatch):
+    path = tmp_path / "zero.safetensors"
+    save_hybrid_checkpoint(path, network, SPEC, {})
+    made = create_estimator(EstimatorConfig(estimator="hybrid", checkpoint=str(path)))
+    with pytest.raises(InvalidInputError, match="expected load_organ before the first observation"):
+        made.estimate(observation)
+
+    def absent(_):
+        raise InvalidInputError("none")
+
+    monkeypatch.setattr(hybrid_estimator, "bundled_checkpoint", absent)
+    with pytest.raises(CheckpointError, match="expected weights in the parameter checkpoint .* got neither"):
+        create_estimator(EstimatorConfig(estimator="hybrid"))
+
+
+def test_a_checkpoint_says_all_that_the_network_needs(tmp_path, network):
+    path = tmp_path / "weights.safetensors"
+    spec = HybridSpec(
+        spacing=0.006, sigma_factor=0.8, remainder_limit=2.0, architecture=SPEC.architecture, margin_cells=2
+    )
+    save_hybrid_checkpoint(path, network, spec, {"command": "train it"}, half=True)
+    stored = load_hybrid_checkpoint(path)
+    assert (stored.spec, stored.provenance) == (spec, {"command": "train it"})
+    assert (checkpoint_kind(path), read_provenance(path)) == ("hybrid", {"command": "train it"})
+    for name, weight in network.state_dict().items():
+        torch.testing.assert_close(stored.network.state_dict()[name], weight, atol=1e-3, rtol=1e-3)
+    with pytest.raises(CheckpointError, match="expected weights of 'paper', got weights of 'hybrid'"):
+        load_checkpoint(path)
+
+
+def test_channels_of_another_version_are_refused(tmp_path, network):
+    path = tmp_path / "weights.safetensors"
+    save_hybrid_checkpoint(
+        path, network, HybridSpec(channels=("a",) * 10, architecture=SPEC.architecture), {}
+    )
+    with pytest.raises(CheckpointError, match="reads other channels: expected signed_distance, .* got a, a"):
+        load_hybrid_checkpoint(path)
+    save_hybrid_checkpoint(path, network, HybridSpec(input_scales=(1.0,), architecture=SPEC.architecture), {})
+    with pytest.raises(CheckpointError, match="names 10 channels and 1 scales"):
+        load_hybrid_checkpoint(path)
