@@ -43,7 +43,9 @@ def _generate(options: argparse.Namespace) -> int:
     from softtissue_estimator.errors import InvalidInputError
     from softtissue_training.simulation.cluster import connect
     from softtissue_training.simulation.generate import generate
+    from softtissue_training.simulation.reserved_seeds import check_not_reserved
 
+    check_not_reserved(options.seed)
     recipe = recipe_from(options)
     organs, rest = divmod(options.count, recipe.load_cases)
     if rest:

@@ -37,6 +37,31 @@ def surface_distance(surface: SurfaceMesh, vertex: int, limit_m: float = np.inf)
     return result
 
 
+def resized(surface: SurfaceMesh, region: BoolArray, share: float) -> BoolArray:
+    """Let a region grow or shrink evenly along its rim until its area is a share of what it was, (n,).
+
+    Parameters
+    ----------
+    region
+        (n,) true for the region's vertices; at least one.
+    share
+        Wanted area over present area, as near as whole vertices allow; at least one vertex stays.
+    """
+    areas = vertex_areas(surface)
+    grows = share >= 1.0
+    rim = np.flatnonzero(region if grows else ~region)
+    if len(rim) == 0 or (grows and region.all()):
+        return region.copy()
+    from_rim = dijkstra(edge_graph(surface), directed=False, indices=rim, min_only=True)
+    # Outward from the region, or from its inmost vertex to its rim.
+    order = np.argsort(from_rim if grows else -from_rim, kind="stable")
+    covered = np.cumsum(areas[order])
+    count = int(np.argmin(np.abs(covered - share * areas[region].sum()))) + 1
+    result = np.zeros_like(region)
+    result[order[:count]] = True
+    return result
+
+
 def edge_graph(surface: SurfaceMesh) -> sparse.csr_matrix:
     """Return the (n, n) graph of edges weighted by length in metres."""
     ends = np.concatenate([surface.faces[:, [0, 1]], surface.faces[:, [1, 2]], surface.faces[:, [2, 0]]])

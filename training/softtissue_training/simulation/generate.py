@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from tqdm import tqdm
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_training.organs.tetrahedralise import TetMesh
+from softtissue_training.physics.material import Material
 from softtissue_training.simulation.archive import (
     list_records,
     read_records,
@@ -22,6 +26,7 @@ from softtissue_training.simulation.archive import (
 )
 from softtissue_training.simulation.recipe import Recipe
 from softtissue_training.simulation.record_format import format_record, parse_record
+from softtissue_training.simulation.sample import Record
 from softtissue_training.simulation.simulate import simulate
 
 if TYPE_CHECKING:
@@ -60,6 +65,8 @@ def generate(
     seed: int,
     recipe: Recipe | None = None,
     *,
+    mesh: TetMesh | None = None,
+    materials: tuple[Material, ...] = (),
     client: Client | None = None,
     show_progress: bool = True,
 ) -> GenerationReport:
@@ -76,21 +83,24 @@ def generate(
         Seed of the data set; organ i depends on `seed`, i and the recipe alone.
     recipe
         What to simulate; the paper's if None.
+    mesh, materials
+        As in `simulate`: one organ for all records, and materials that all loads are simulated with.
     client
         Dask client; without one, this process simulates.
 
     Raises
     ------
     InvalidInputError
-        The folder holds simulations of another seed or recipe.
+        The folder holds simulations of another seed, recipe, organ or of other materials.
     """
     recipe = recipe or Recipe()
+    make = partial(_simulate_one, seed, recipe=recipe, mesh=mesh, materials=materials)
     folder.mkdir(parents=True, exist_ok=True)
     present = {record_number(name) for name in list_records(folder)}
-    rejected = _take_stock(folder, seed, recipe)
+    rejected = _take_stock(folder, seed, recipe, mesh, materials)
     missing = [number for number in range(organs) if number not in present]
     start = time.monotonic()
-    results = _here(seed, missing, recipe) if client is None else _on(client, seed, missing, recipe)
+    results = map(make, missing) if client is None else _on(client, make, missing)
     with tqdm(
         total=organs,
         initial=organs - len(missing),
@@ -103,17 +113,19 @@ def generate(
             rejected.update(reasons)
             bar.update()
             bar.set_postfix(rejected=sum(rejected.values()), refresh=False)
-    count = len(list_records(folder))
+    count, each = len(list_records(folder)), recipe.load_cases * max(1, len(materials))
     return GenerationReport(
         organs=count,
-        simulations=count * recipe.load_cases,
+        simulations=count * each,
         rejected=dict(rejected),
-        made=len(missing) * recipe.load_cases,
+        made=len(missing) * each,
         seconds=time.monotonic() - start,
     )
 
 
-def _take_stock(folder: Path, seed: int, recipe: Recipe) -> Counter[str]:
+def _take_stock(
+    folder: Path, seed: int, recipe: Recipe, mesh: TetMesh | None, materials: tuple[Material, ...]
+) -> Counter[str]:
     """Count the rejections of what a folder holds already, and refuse to mix data sets."""
     rejected: Counter[str] = Counter()
     names = list_records(folder)
@@ -124,8 +136,22 @@ def _take_stock(folder: Path, seed: int, recipe: Recipe) -> Counter[str]:
                 f"{folder} must hold simulations of seed {seed} and the settings asked for, got {name} of seed "
                 f"{record.seed[0]} and {_differences(record.recipe, recipe) or 'the same settings'}"
             )
+        if not _is_of(record, mesh, materials):
+            raise InvalidInputError(
+                f"{folder} must hold simulations of the organ and the materials asked for, got {name} of others"
+            )
         rejected.update(record.rejected)
     return rejected
+
+
+def _is_of(record: Record, mesh: TetMesh | None, materials: tuple[Material, ...]) -> bool:
+    first = record.simulations[0]
+    if mesh is not None and not np.array_equal(first.vertices, mesh.vertices.astype(np.float32)):
+        return False
+    found = tuple(sample.material for sample in record.simulations)
+    return (
+        found == materials * record.recipe.load_cases if materials else len(found) == record.recipe.load_cases
+    )
 
 
 def _differences(found: Recipe, wanted: Recipe) -> str:
@@ -136,11 +162,7 @@ def _differences(found: Recipe, wanted: Recipe) -> str:
 _Result = tuple[int, bytes, dict[str, int]]
 
 
-def _here(seed: int, numbers: list[int], recipe: Recipe) -> Iterator[_Result]:
-    return (_simulate_one(seed, number, recipe) for number in numbers)
-
-
-def _on(client: Client, seed: int, numbers: list[int], recipe: Recipe) -> Iterator[_Result]:
+def _on(client: Client, make: Callable[[int], _Result], numbers: list[int]) -> Iterator[_Result]:
     """Yield results as they come, with only a few organs on their way at any time."""
     from distributed import as_completed
 
@@ -149,9 +171,7 @@ def _on(client: Client, seed: int, numbers: list[int], recipe: Recipe) -> Iterat
     def submit(wanted: int) -> list[Future]:
         chosen = islice(waiting, wanted)
         # Not pure: a key of its own for each call, so that nothing is taken from an earlier run's memory.
-        return [
-            client.submit(_simulate_one, seed, number, recipe, pure=False, retries=2) for number in chosen
-        ]
+        return [client.submit(make, number, pure=False, retries=2) for number in chosen]
 
     running = as_completed(submit(_WAITING_PER_WORKER * max(1, len(client.nthreads()))))
     for future in running:
@@ -160,6 +180,12 @@ def _on(client: Client, seed: int, numbers: list[int], recipe: Recipe) -> Iterat
             running.add(new)
 
 
-def _simulate_one(seed: int, number: int, recipe: Recipe) -> _Result:
-    record = simulate(seed, number, recipe)
+def _simulate_one(
+    seed: int,
+    number: int,
+    recipe: Recipe,
+    mesh: TetMesh | None = None,
+    materials: tuple[Material, ...] = (),
+) -> _Result:
+    record = simulate(seed, number, recipe, mesh=mesh, materials=materials)
     return number, format_record(record), record.rejected

@@ -13,9 +13,14 @@ from softtissue_estimator.errors import MeshError
 from softtissue_training.errors import RejectedSampleError, SolverDivergedError
 from softtissue_training.organs.organ_shape import CUBE_SIDE_M, random_organ_surface
 from softtissue_training.organs.tetrahedralise import TetMesh, tetrahedralise
+from softtissue_training.physics.material import Material
 from softtissue_training.physics.pressure import SurfacePressure
 from softtissue_training.physics.solver import solve
-from softtissue_training.simulation.boundary_conditions import random_boundary_conditions, weight
+from softtissue_training.simulation.boundary_conditions import (
+    BoundaryConditions,
+    random_boundary_conditions,
+    weight,
+)
 from softtissue_training.simulation.recipe import Recipe
 from softtissue_training.simulation.sample import Record, Sample
 
@@ -24,7 +29,14 @@ MAXIMUM_DISPLACEMENT_M = 0.10
 _DRAWS_PER_CASE = 20
 
 
-def simulate(seed: int, number: int, recipe: Recipe) -> Record:
+def simulate(
+    seed: int,
+    number: int,
+    recipe: Recipe,
+    *,
+    mesh: TetMesh | None = None,
+    materials: tuple[Material, ...] = (),
+) -> Record:
     """Draw organs until one gives usable simulations.
 
     Parameters
@@ -34,17 +46,21 @@ def simulate(seed: int, number: int, recipe: Recipe) -> Record:
     number
         Number of the organ in it; the same pair gives the same organ, and each load case is the same however many
         there are.
+    mesh
+        The organ, centred on the origin, if it is not to be drawn.
+    materials
+        Solve every load case once with each of these instead of a drawn one: simulations that differ in nothing else.
+        A load that is not usable with all of them is drawn anew.
     """
     organs = np.random.default_rng([seed, number, 0])
     loads = [np.random.default_rng([seed, number, 1 + case]) for case in range(recipe.load_cases)]
     rejected: Counter[str] = Counter()
     while True:
+        samples: list[Sample] = []
         try:
-            mesh = _random_mesh(organs, recipe)
-            samples = [
-                _random_case(mesh, recipe, rng, (seed, number), case, rejected)
-                for case, rng in enumerate(loads)
-            ]
+            organ = mesh if mesh is not None else _random_mesh(organs, recipe)
+            for rng in loads:
+                samples += _random_case(organ, recipe, rng, (seed, number), len(samples), materials, rejected)
         except RejectedSampleError as error:
             rejected[error.reason] += 1
         else:
@@ -68,24 +84,27 @@ def _random_case(
     rng: np.random.Generator,
     seed: tuple[int, int],
     case: int,
+    materials: tuple[Material, ...],
     rejected: Counter[str],
-) -> Sample:
+) -> list[Sample]:
     """Attach and load an organ until the simulation is usable; reject the organ if that takes too many draws."""
     for _ in range(_DRAWS_PER_CASE):
         try:
-            return _simulate_case(mesh, recipe, rng, seed, case)
+            drawn = recipe.draw_material(rng)
+            conditions = random_boundary_conditions(mesh.surface, recipe, rng)
+            return [
+                _simulate_case(mesh, conditions, material, seed, case + index)
+                for index, material in enumerate(materials or (drawn,))
+            ]
         except RejectedSampleError as error:
             rejected[error.reason] += 1
     raise RejectedSampleError("no usable load", f"{_DRAWS_PER_CASE} loads were rejected")
 
 
 def _simulate_case(
-    mesh: TetMesh, recipe: Recipe, rng: np.random.Generator, seed: tuple[int, int], case: int
+    mesh: TetMesh, conditions: BoundaryConditions, material: Material, seed: tuple[int, int], case: int
 ) -> Sample:
-    material = recipe.draw_material(rng)
-    surface = mesh.surface
-    conditions = random_boundary_conditions(surface, recipe, rng)
-    on_surface = len(surface.vertices)
+    on_surface = len(mesh.surface.vertices)
     fixed = np.zeros(len(mesh.vertices), dtype=bool)
     fixed[:on_surface] = conditions.attached
     force = np.zeros_like(mesh.vertices)
