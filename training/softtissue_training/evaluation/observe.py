@@ -14,7 +14,7 @@ from softtissue_estimator.observation import Observation, make_observation
 from softtissue_estimator.organ import Organ, make_organ
 from softtissue_estimator.volume_mesh import VolumeMesh
 from softtissue_training.evaluation.case import EvaluationCase, depth_below
-from softtissue_training.organs.surface_patch import grow_patch, surface_distance
+from softtissue_training.organs.surface_patch import grow_patch, resized, surface_distance
 from softtissue_training.simulation.sample import Sample
 
 FloatArray = NDArray[np.float64]
@@ -23,6 +23,8 @@ IntArray = NDArray[np.int64]
 
 SMALLEST_SIGMA_M = 0.0002
 """Standard deviation that estimators are told where no noise is added."""
+OUTLIER_ERROR_M = (0.03, 0.08)
+"""How far outliers are off, in any direction."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +41,18 @@ class ObservationSettings:
         Distance of neighbouring observed points, m; zero observes the vertices of the visible faces instead.
     sparse
         Keep only this many of the observed points, drawn at random; None keeps all.
+    outliers
+        Share of the observed points that are grossly wrong, by `OUTLIER_ERROR_M`; estimators are not told.
+    attached_share
+        Area of the attached region that estimators are told, over that of the true one.
     """
 
     visible_share: tuple[float, float] = (0.08, 0.60)
     noise_m: float = 0.0
     spacing_m: float = 0.003
     sparse: int | None = None
+    outliers: float = 0.0
+    attached_share: float = 1.0
 
     def __post_init__(self) -> None:
         low, high = self.visible_share
@@ -62,6 +70,12 @@ class ObservationSettings:
             )
         if self.sparse is not None and self.sparse < 3:
             raise InvalidInputError(f"observed points: expected at least 3, got {self.sparse}")
+        if not 0.0 <= self.outliers < 1.0:
+            raise InvalidInputError(f"outliers: expected 0 to below 100 %, got {100 * self.outliers:g} %")
+        if not 0.1 <= self.attached_share <= 10.0:
+            raise InvalidInputError(
+                f"attached region: expected 0.1 to 10 times the true area, got {self.attached_share:g}"
+            )
 
 
 def simulated_case(
@@ -69,11 +83,13 @@ def simulated_case(
 ) -> EvaluationCase:
     """Make a case of a simulation: one random visible patch, observed as the settings say.
 
-    All randomness is drawn in one order (patch, points, noise), so that the same generator with more noise sees the
-    same patch. The order in which a record lists its triangles, which packing may change, does not matter.
+    All randomness is drawn in one order (patch, points, noise, outliers), so that the same generator with more noise
+    sees the same patch. The order in which a record lists its triangles, which packing may change, does not matter.
     """
     surface = SurfaceMesh(sample.surface.vertices, ordered_faces(sample.surface.faces))
     attached = sample.attached_mask
+    if settings.attached_share != 1.0:
+        attached = resized(surface, attached, settings.attached_share)
     nodes = sample.vertices.astype(np.float64)
     truth = sample.displacement.astype(np.float64)
     organ = make_organ(name, "organ", surface, (), attached)
@@ -140,8 +156,20 @@ def observe(
         chosen = rng.choice(len(points), size=min(settings.sparse, len(points)), replace=False)
         points, moved = points[chosen], moved[chosen]
     moved = moved + settings.noise_m * rng.normal(size=moved.shape)
+    if settings.outliers > 0.0:
+        moved = _with_outliers(moved, settings.outliers, rng)
     sigma = max(settings.noise_m, SMALLEST_SIGMA_M)
     return make_observation(points + moved, points, sigma, organ, EstimatorConfig())[0]
+
+
+def _with_outliers(moved: FloatArray, share: float, rng: np.random.Generator) -> FloatArray:
+    """Return displacements (n, 3) m of which a share, drawn at random, is off by centimetres."""
+    wrong = rng.choice(len(moved), size=round(share * len(moved)), replace=False)
+    direction = rng.normal(size=(len(wrong), 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    result = moved.copy()
+    result[wrong] += direction * rng.uniform(*OUTLIER_ERROR_M, size=(len(wrong), 1))
+    return result
 
 
 def load_seen_share(sample: Sample, visible: BoolArray) -> float | None:
