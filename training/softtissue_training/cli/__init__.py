@@ -7,7 +7,16 @@ import sys
 from collections.abc import Sequence
 
 from softtissue_estimator.errors import SoftTissueError
-from softtissue_training.cli import compare_solvers, evaluate, export, generate, records, show, train
+from softtissue_training.cli import (
+    benchmark,
+    compare_solvers,
+    evaluate,
+    export,
+    generate,
+    records,
+    show,
+    train,
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,6 +42,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    for module in (generate, show, records, train, evaluate, export, compare_solvers):
+    for module in (generate, show, records, train, evaluate, benchmark, export, compare_solvers):
         module.add(commands)
     return parser

@@ -1,0 +1,103 @@
+"""`softtissue-train benchmark`."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+
+from softtissue_training.cli.arguments import Commands, positive
+
+_UNITS_M = {"mm": 1e-3, "m": 1.0}
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    benchmark = commands.add_parser(
+        "benchmark",
+        help="compare estimators on reserved simulations, under fixed conditions",
+        description="Simulate organs with seeds that `generate` refuses, show every estimator the same of them under "
+        "a fixed list of conditions (noise, few points, wrong attachment, other materials, several loads), and write "
+        "DIR/benchmark.json, DIR/benchmark.md, DIR/samples.csv and DIR/figures. The same command again goes on where "
+        "it was stopped; simulations and answers that are there are used again.",
+        epilog="docs/benchmark.md says what each condition is.",
+    )
+    benchmark.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of everything")
+    benchmark.add_argument(
+        "--quick",
+        action="store_true",
+        help="60 random organs and short sweeps, within 10 minutes on two cores",
+    )
+    benchmark.add_argument(
+        "--estimators",
+        metavar="LIST",
+        help="as in `evaluate insilico` (default: zero,rigid,rbf,fem,elastic,paper and, if there is one, hybrid)",
+    )
+    benchmark.add_argument(
+        "--compare",
+        nargs="+",
+        default=(),
+        metavar="A:B",
+        help="pairs of estimators to compare in bins of visible share, depth and displacement (default: "
+        "hybrid:elastic hybrid:paper elastic:rigid paper:rigid, as far as they are in the list)",
+    )
+    benchmark.add_argument(
+        "--suites",
+        metavar="LIST",
+        help="of random (organs, with all sweeps), own (the bundled liver) and user (the surface named); default: "
+        "random,own and, with --organ-surface, user; with --quick without own",
+    )
+    benchmark.add_argument(
+        "--organ-surface", type=Path, metavar="FILE", help="a liver's surface: STL, PLY, OBJ, VTK, VTP or VTU"
+    )
+    benchmark.add_argument("--unit", choices=_UNITS_M, help="of the file of --organ-surface")
+    benchmark.add_argument(
+        "--count",
+        type=positive,
+        metavar="N",
+        help="samples of each suite (default: random 300, own 200, user 1334, as many as in the paper)",
+    )
+    benchmark.add_argument("--sweep", type=positive, metavar="N", help="organs of each sweep (default: 60)")
+    benchmark.add_argument(
+        "--workers", type=positive, default=2, metavar="N", help="processes of one thread (default: 2)"
+    )
+    benchmark.add_argument("--device", default="auto", help="of networks: auto, cpu or cuda (default: auto)")
+    benchmark.set_defaults(run=_benchmark)
+
+
+def _benchmark(options: argparse.Namespace) -> int:
+    from softtissue_estimator.errors import InvalidInputError
+    from softtissue_estimator.estimator import estimator_names
+    from softtissue_estimator.organ_file import read_organ_file
+    from softtissue_estimator.resources import bundled_organ
+    from softtissue_training.evaluation.benchmark.pairs import parse_pairs
+    from softtissue_training.evaluation.benchmark.plan import NamedSurface, make_plan
+    from softtissue_training.evaluation.benchmark.run import run_benchmark
+    from softtissue_training.evaluation.methods import parse_methods
+
+    if (options.organ_surface is None) != (options.unit is None):
+        raise InvalidInputError("--organ-surface and --unit: expected both or neither, got one of them")
+    bundled = read_organ_file(bundled_organ())
+    surfaces = {"own": NamedSurface(bundled.surface, bundled.unit_m)}
+    suites = ["random"] if options.quick else ["random", "own"]
+    if options.organ_surface is not None:
+        surfaces["user"] = NamedSurface(options.organ_surface, _UNITS_M[options.unit])
+        suites.append("user")
+    if options.suites is not None:
+        suites = [name.strip() for name in options.suites.split(",") if name.strip()]
+    listed = options.estimators
+    if listed is None:
+        listed = "zero,rigid,rbf,fem,elastic,paper" + (",hybrid" if "hybrid" in estimator_names() else "")
+    methods = parse_methods(listed, options.device)
+    plan = make_plan(suites, surfaces, quick=options.quick, count=options.count, sweep_count=options.sweep)
+    shown = run_benchmark(
+        plan,
+        methods,
+        options.out,
+        pairs=parse_pairs(options.compare, [spec.label for spec in methods]),
+        workers=options.workers,
+        command=shlex.join(["softtissue-train", *sys.argv[1:]]),
+    )
+    print(shown)
+    return 0

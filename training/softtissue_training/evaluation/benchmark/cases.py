@@ -1,0 +1,91 @@
+"""The cases of the benchmark: one record seen in several ways."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from softtissue_training.evaluation.benchmark.plan import DataSet
+from softtissue_training.evaluation.case import EvaluationCase
+from softtissue_training.evaluation.observe import ObservationSettings, simulated_case
+from softtissue_training.simulation.archive import digest, read_records, record_name
+from softtissue_training.simulation.record_format import content_hash, parse_record
+
+_VERSION = 1  # of how cases are made
+_OBSERVATION_SEED = 0
+
+
+@dataclass(frozen=True)
+class SeenOrgan:
+    """All cases of one record; see `runner.Job`.
+
+    Attributes
+    ----------
+    data, name
+        Folder of the data set, and the record in it.
+    conditions, settings
+        Of each case, in order: one after the other for each simulation. Where simulations differ in their material
+        alone, they have one each.
+    key
+        Hash of all of this and of the record's content.
+    """
+
+    data: Path
+    name: str
+    conditions: tuple[str, ...]
+    settings: tuple[ObservationSettings, ...]
+    key: str
+
+    def cases(self) -> list[EvaluationCase]:
+        """See `runner.Job.cases`; all cases of a record see the same patch of it."""
+        content = next(read_records(self.data, [self.name]))
+        record = parse_record(content, f"{self.data}: {self.name}")
+        views = len(self.settings) // len(record.simulations)
+        return [
+            simulated_case(
+                record.simulations[index // views],
+                settings,
+                # One seed for all views and materials of an organ.
+                np.random.default_rng([_OBSERVATION_SEED, *record.seed]),
+                f"{self.data.name}/{Path(self.name).stem}/{condition}",
+            )
+            for index, (condition, settings) in enumerate(zip(self.conditions, self.settings, strict=True))
+        ]
+
+
+def seen_organs(data: DataSet, folder: Path) -> tuple[list[SeenOrgan], str]:
+    """List the jobs of a data set whose simulations are complete.
+
+    Parameters
+    ----------
+    folder
+        Of the data set.
+
+    Returns
+    -------
+    list
+        One job an organ.
+    str
+        Hash of the simulations.
+    """
+    names = [record_name(number) for number in range(data.organs)]
+    jobs: list[SeenOrgan] = []
+    hashes: dict[str, str] = {}
+    for number, (name, content) in enumerate(zip(names, read_records(folder, names), strict=True)):
+        hashes[name] = content_hash(content, f"{folder}: {name}")
+        seen = [view for view in data.views if number < view.organs]
+        conditions = tuple(label for label, _ in data.materials) or tuple(view.condition for view in seen)
+        settings = tuple(view.settings for view in seen) * max(1, len(data.materials))
+        jobs.append(SeenOrgan(folder, name, conditions, settings, _key(hashes[name], conditions, settings)))
+    return jobs, digest(hashes)
+
+
+def _key(content: str, conditions: tuple[str, ...], settings: tuple[ObservationSettings, ...]) -> str:
+    described = json.dumps(
+        ["benchmark", _VERSION, content, conditions, [asdict(one) for one in settings]], sort_keys=True
+    )
+    return hashlib.sha256(described.encode()).hexdigest()[:24]

@@ -1,0 +1,83 @@
+"""`benchmark.json` and `benchmark.md`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from softtissue_training.evaluation import metrics
+from softtissue_training.evaluation.benchmark.intervals import mean_interval
+from softtissue_training.evaluation.benchmark.pairs import compare
+from softtissue_training.evaluation.benchmark.plan import Plan, condition_of
+from softtissue_training.evaluation.measured import CaseResult
+from softtissue_training.evaluation.report import condition_row, summarise
+
+FORMAT_VERSION = 1
+Groups = Mapping[str, Sequence[CaseResult]]
+
+
+def benchmark_summary(
+    plan: Plan, groups: Groups, labels: Sequence[str], pairs: Sequence[tuple[str, str]]
+) -> dict[str, Any]:
+    """Return everything measured as JSON values.
+
+    Parameters
+    ----------
+    groups
+        Results by condition.
+    labels
+        Of the estimators.
+    pairs
+        Estimators to compare, bin by bin, on each suite.
+    """
+    suites = {suite: groups[condition_of(suite)] for suite in plan.suites}
+    return {
+        "format": FORMAT_VERSION,
+        "points": "not visible, unless a name says all_points; samples that an estimator failed on count for nobody",
+        "samples": {
+            name: {"asked": len(results), "compared": len(metrics.compared(results))}
+            for name, results in groups.items()
+        },
+        "estimators": {
+            label: {name: _row(results, label) for name, results in groups.items()} for label in labels
+        },
+        "pairs": {
+            f"{one}_over_{other}": {
+                condition_of(suite): compare(results, one, other) for suite, results in suites.items()
+            }
+            for one, other in pairs
+        },
+        "suites": {suite: _curves(results) for suite, results in suites.items()},
+    }
+
+
+def _row(results: Sequence[CaseResult], label: str) -> dict[str, Any]:
+    fair = metrics.compared(results)
+    failures = Counter(
+        failure for result in results if (failure := result.answers[label].failure) is not None
+    )
+    row = condition_row(fair, label) | {
+        "mean_95_mm": _mean_interval(fair, label),
+        "failed": sum(failures.values()),
+        "failures": dict(failures.most_common()),
+    }
+    found = metrics.calibration(fair, label)
+    return row | {"calibration": None if found is None else asdict(found)}
+
+
+def _mean_interval(results: Sequence[CaseResult], label: str) -> tuple[float, float] | None:
+    """Interval of `mean_mm`, for few and skewed samples say little without one."""
+    errors = [metrics.hidden_errors(result, label) for result in results]
+    means = np.array([1e3 * each.mean(dtype=np.float64) for each in errors if len(each)])
+    return mean_interval(means, np.ones(len(means)), np.random.default_rng(0))
+
+
+def _curves(results: Sequence[CaseResult]) -> dict[str, Any]:
+    """Return what the figures show, by estimator."""
+    wanted = ("time_s", "by_visible_share", "by_depth", "by_displacement", "by_depth_at_displacement")
+    found = summarise(results)["estimators"]
+    return {label: {name: one[name] for name in wanted} for label, one in found.items()}
