@@ -13,6 +13,7 @@ from softtissue_training.cli import (
     evaluate,
     export,
     generate,
+    posterior,
     records,
     show,
     train,
@@ -42,6 +43,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    for module in (generate, show, records, train, evaluate, benchmark, export, compare_solvers):
+    for module in (generate, show, records, posterior, train, evaluate, benchmark, export, compare_solvers):
         module.add(commands)
     return parser

@@ -211,12 +211,12 @@ class MethodSpec:
         if self.checkpoint is None:
             return {}
         # Torch is slow to import.
-        from softtissue_estimator.checkpoint import load_checkpoint
+        from softtissue_estimator.checkpoint import read_provenance
 
         return {
             "file": self.checkpoint.name,
             "sha256": hashlib.sha256(self.checkpoint.read_bytes()).hexdigest(),
-            "provenance": load_checkpoint(self.checkpoint).provenance,
+            "provenance": read_provenance(self.checkpoint),
         }
 
 

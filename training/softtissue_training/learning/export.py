@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path, PurePath
 from typing import Any
 
-from softtissue_estimator.checkpoint import load_checkpoint, save_checkpoint
+from softtissue_estimator.checkpoint import checkpoint_kind, load_checkpoint, save_checkpoint
+from softtissue_estimator.hybrid_checkpoint import KIND, load_hybrid_checkpoint, save_hybrid_checkpoint
 
 
 def export(checkpoint: Path, file: Path) -> dict[str, Any]:
@@ -23,12 +24,22 @@ def export(checkpoint: Path, file: Path) -> dict[str, Any]:
     CheckpointError
         The checkpoint is missing or damaged.
     """
+    if checkpoint_kind(checkpoint) == KIND:
+        hybrid = load_hybrid_checkpoint(checkpoint)
+        provenance = _portable(hybrid.provenance)
+        save_hybrid_checkpoint(file, hybrid.network, hybrid.spec, provenance, half=True)
+        return provenance
     stored = load_checkpoint(checkpoint)
-    provenance = dict(stored.provenance)
-    if "command" in provenance:
-        provenance["command"] = without_folders(str(provenance["command"]))
+    provenance = _portable(stored.provenance)
     save_checkpoint(file, stored.network, stored.spec, provenance, half=True)
     return provenance
+
+
+def _portable(provenance: dict[str, Any]) -> dict[str, Any]:
+    """Leave out the folders of the machine that it was made on."""
+    if "command" not in provenance:
+        return dict(provenance)
+    return provenance | {"command": without_folders(str(provenance["command"]))}
 
 
 def without_folders(command: str) -> str:

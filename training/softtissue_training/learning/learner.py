@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 
 import torch
@@ -11,10 +10,9 @@ from torch import Tensor, nn
 from softtissue_estimator.network import UNet, initialise
 from softtissue_training.learning.distributed import Ranks
 from softtissue_training.learning.loss import sample_losses
+from softtissue_training.learning.optimisation import Optimisation
 from softtissue_training.learning.precision import restrict_autocast
 from softtissue_training.learning.training_config import TrainingConfig
-
-CLIP_NORM = 1.0
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,7 @@ class Batch:
     counts: bool = True
 
 
-class Learner:
+class Learner(Optimisation[UNet]):
     """A network in training.
 
     The loss of a batch is the mean over its samples in all processes, each sample's being a mean over cells of its own,
@@ -46,14 +44,13 @@ class Learner:
     """
 
     def __init__(self, config: TrainingConfig, device: torch.device, ranks: Ranks, *, bfloat16: bool) -> None:
-        self.config, self.device, self.ranks, self.bfloat16 = config, device, ranks, bfloat16
+        self.config, self.bfloat16 = config, bfloat16
         # Overwritten by `initialise` or by a stored state; seeded all the same, so that nothing depends on chance.
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
-            self.network = UNet(config.spec.architecture).to(device)
-        self.average = copy.deepcopy(self.network).requires_grad_(False)
+            network = UNet(config.spec.architecture)
+        super().__init__(network, config, device, ranks)
         restrict_autocast(self.network, device)
-        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
         self._outputs: nn.Module | None = None
 
     def initialise(self, example: Tensor) -> dict[str, float]:
@@ -74,32 +71,7 @@ class Learner:
             outputs = self._outputs(batch.inputs)
         losses = sample_losses(outputs, batch.target, batch.mask, self.config.cube_cells)
         share = losses.sum() * (float(batch.counts) / batch.count)
-        # The processes' gradients are averaged, where they should be added.
-        (share * self.ranks.size).backward()
-        return share.detach()
-
-    def update(self, rate: float, step: int) -> bool:
-        """Make the step with the gradients that are set; returns false, and does nothing, where they are not finite.
-
-        Parameters
-        ----------
-        rate
-            Learning rate.
-        step
-            Steps made before.
-        """
-        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), CLIP_NORM)
-        if not bool(torch.isfinite(norm)):
-            return False
-        for group in self.optimiser.param_groups:
-            group["lr"] = rate
-        self.optimiser.step()
-        # Early weights are forgotten sooner than the decay says, or the average would start at zero output.
-        decay = min(self.config.ema_decay, (2 + step) / (11 + step))
-        with torch.no_grad():
-            for averaged, weight in zip(self.average.parameters(), self.network.parameters(), strict=True):
-                averaged.lerp_(weight, 1.0 - decay)
-        return True
+        return self.backward(share)
 
 
 class _AllResolutions(nn.Module):

@@ -7,6 +7,8 @@ import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+import torch
+
 _PACKAGES = ("softtissue-training", "softtissue-estimator", "torch", "numpy", "scipy")
 
 
@@ -34,6 +36,19 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[package] = "source tree"
     return found
+
+
+def hardware(device: str) -> str:
+    """Name the kind of processor or GPU that a run computes on, and how many threads it uses.
+
+    Parameters
+    ----------
+    device
+        Torch device.
+    """
+    if device.startswith("cuda"):
+        return str(torch.cuda.get_device_name(torch.device(device)))
+    return f"{platform.machine()} processor, {torch.get_num_threads()} threads"
 
 
 def _git(folder: Path, *arguments: str) -> str:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.learning.training_config import TrainingConfig
+from softtissue_training.learning.optimisation import Settings
 from softtissue_training.learning.training_state import Progress
 
 
@@ -50,7 +50,7 @@ class Schedule:
             return min(1.0, progress.seconds / self.time_limit_s)
         return None
 
-    def learning_rate(self, config: TrainingConfig, progress: Progress) -> float:
+    def learning_rate(self, config: Settings, progress: Progress) -> float:
         """Return the learning rate: a linear rise over the first steps, then half a cosine; constant without an end."""
         return learning_rate(config, progress.step, self.share(progress) or 0.0)
 
@@ -87,11 +87,12 @@ class Schedule:
         return "time limit" if self.is_out_of_time(progress) else "stopped"
 
 
-def learning_rate(config: TrainingConfig, step: int, share: float) -> float:
+def learning_rate(config: Settings, step: int, share: float) -> float:
     """Return the learning rate: a linear rise over the first steps, times half a cosine of the share of the run.
 
     Examples
     --------
+    >>> from softtissue_training.learning.training_config import TrainingConfig
     >>> config = TrainingConfig(learning_rate=1.0, warmup_steps=10)
     >>> learning_rate(config, 4, 0.0), learning_rate(config, 100, 0.5), learning_rate(config, 1000, 1.0)
     (0.5, 0.5, 0.0)

@@ -10,10 +10,9 @@ from typing import Any
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
-from torch import Tensor
+from torch import Tensor, nn
 
 from softtissue_estimator.errors import CheckpointError
-from softtissue_estimator.network import UNet
 
 _CHANGEABLE = ("learning_rate",)
 """Settings that may change when a run goes on."""
@@ -59,8 +58,8 @@ class Progress:
 
 def save_state(
     path: Path,
-    network: UNet,
-    average: UNet,
+    network: nn.Module,
+    average: nn.Module,
     optimiser: torch.optim.Adam,
     progress: Progress,
     config: dict[str, Any],
@@ -90,8 +89,8 @@ def save_state(
 
 def load_state(
     path: Path,
-    network: UNet,
-    average: UNet,
+    network: nn.Module,
+    average: nn.Module,
     optimiser: torch.optim.Adam,
     config: dict[str, Any],
     data_sha256: str | None = None,

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from itertools import islice
+from typing import TypeVar
 
-from distributed import Client, LocalCluster
+from distributed import Client, Future, LocalCluster, as_completed
 
 from softtissue_estimator.errors import InvalidInputError
 
 _ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _CONNECT_S = 20
+_WAITING_PER_WORKER = 4
+"""Tasks that wait for each worker: enough to keep it busy, few enough that a million of them need no memory."""
+
+_Task = TypeVar("_Task")
+_Result = TypeVar("_Result")
 
 
 @contextmanager
@@ -50,3 +57,18 @@ def connect(workers: int, scheduler: str | None = None) -> Iterator[Client]:
         Client(cluster) as client,
     ):
         yield client
+
+
+def results_of(client: Client, work: Callable[[_Task], _Result], tasks: Iterable[_Task]) -> Iterator[_Result]:
+    """Yield the results of a function for many tasks as they come, with only a few tasks on their way at any time."""
+    waiting = iter(tasks)
+
+    def submit(wanted: int) -> list[Future]:
+        # Not pure: a key of its own for each call, so that nothing is taken from an earlier run's memory.
+        return [client.submit(work, task, pure=False, retries=2) for task in islice(waiting, wanted)]
+
+    running = as_completed(submit(_WAITING_PER_WORKER * max(1, len(client.nthreads()))))
+    for future in running:
+        yield future.result()
+        for new in submit(1):
+            running.add(new)

@@ -1,0 +1,1 @@
+"""Training of the hybrid network on what the elastic posterior leaves."""
