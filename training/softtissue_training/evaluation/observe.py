@@ -78,21 +78,39 @@ class ObservationSettings:
             )
 
 
-def simulated_case(
-    sample: Sample, settings: ObservationSettings, rng: np.random.Generator, name: str
-) -> EvaluationCase:
-    """Make a case of a simulation: one random visible patch, observed as the settings say.
+def told_organ(sample: Sample, settings: ObservationSettings, name: str) -> Organ:
+    """Return what estimators are told of a simulation's organ.
 
-    All randomness is drawn in one order (patch, points, noise, outliers), so that the same generator with more noise
-    sees the same patch. The order in which a record lists its triangles, which packing may change, does not matter.
+    The order in which a record lists its triangles, which packing may change, does not matter.
     """
     surface = SurfaceMesh(sample.surface.vertices, ordered_faces(sample.surface.faces))
     attached = sample.attached_mask
     if settings.attached_share != 1.0:
         attached = resized(surface, attached, settings.attached_share)
+    return make_organ(name, "organ", surface, (), attached)
+
+
+def simulated_case(
+    sample: Sample,
+    settings: ObservationSettings,
+    rng: np.random.Generator,
+    name: str,
+    organ: Organ | None = None,
+) -> EvaluationCase:
+    """Make a case of a simulation: one random visible patch, observed as the settings say.
+
+    All randomness is drawn in one order (patch, points, noise, outliers), so that the same generator with more noise
+    sees the same patch.
+
+    Parameters
+    ----------
+    organ
+        What `told_organ` returned for this organ and attachment, to save its tables for finding points.
+    """
+    organ = organ or told_organ(sample, settings, name)
+    surface = organ.surface
     nodes = sample.vertices.astype(np.float64)
     truth = sample.displacement.astype(np.float64)
-    organ = make_organ(name, "organ", surface, (), attached)
     faces = draw_visible_faces(surface, settings.visible_share, rng)
     visible = np.zeros(len(nodes), dtype=bool)
     visible[surface.faces[faces]] = True

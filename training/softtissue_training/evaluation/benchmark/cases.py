@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from softtissue_estimator.organ import Organ
 from softtissue_training.evaluation.benchmark.plan import DataSet
 from softtissue_training.evaluation.case import EvaluationCase
-from softtissue_training.evaluation.observe import ObservationSettings, simulated_case
+from softtissue_training.evaluation.observe import ObservationSettings, simulated_case, told_organ
 from softtissue_training.simulation.archive import digest, read_records, record_name
 from softtissue_training.simulation.record_format import content_hash, parse_record
 
@@ -45,16 +46,18 @@ class SeenOrgan:
         content = next(read_records(self.data, [self.name]))
         record = parse_record(content, f"{self.data}: {self.name}")
         views = len(self.settings) // len(record.simulations)
-        return [
-            simulated_case(
-                record.simulations[index // views],
-                settings,
-                # One seed for all views and materials of an organ.
-                np.random.default_rng([_OBSERVATION_SEED, *record.seed]),
-                f"{self.data.name}/{Path(self.name).stem}/{condition}",
-            )
-            for index, (condition, settings) in enumerate(zip(self.conditions, self.settings, strict=True))
-        ]
+        organs: dict[tuple[bytes, float], Organ] = {}
+        cases: list[EvaluationCase] = []
+        for index, (condition, settings) in enumerate(zip(self.conditions, self.settings, strict=True)):
+            sample = record.simulations[index // views]
+            name = f"{self.data.name}/{Path(self.name).stem}/{condition}"
+            told = (sample.attached.tobytes(), settings.attached_share)
+            if told not in organs:
+                organs[told] = told_organ(sample, settings, name)
+            # One seed for all views and materials of an organ.
+            rng = np.random.default_rng([_OBSERVATION_SEED, *record.seed])
+            cases.append(simulated_case(sample, settings, rng, name, organs[told]))
+        return cases
 
 
 def seen_organs(data: DataSet, folder: Path) -> tuple[list[SeenOrgan], str]:

@@ -25,6 +25,7 @@ def markdown(summary: Summary) -> str:
         "## 95 % interval of the mean, mm",
         "Samples drawn again with replacement.",
         _by_condition(estimators, lambda row: _interval(row.get("mean_95_mm"))),
+        *_over_base(summary["over_base"]),
         *_calibration(estimators),
         *_pairs(summary["pairs"]),
         *_times(summary["suites"]),
@@ -67,6 +68,23 @@ def _by_condition(estimators: Summary, cell: Callable[[Summary], str]) -> str:
         for condition in conditions
     ]
     return table(["condition", "n", *labels], rows)
+
+
+def _over_base(ratios: Mapping[str, Summary]) -> list[str]:
+    labels = list(ratios)
+    bases = {condition: found["base"] for label in labels for condition, found in ratios[label].items()}
+    if not bases:
+        return []
+    rows = [
+        [f"`{condition}`", f"`{base}`"]
+        + [_number(ratios[label].get(condition, {}).get("ratio")) for label in labels]
+        for condition, base in bases.items()
+    ]
+    return [
+        "## Mean error over that with nothing changed",
+        "The same organs; under `nu_*` and `st_venant_kirchhoff` also the same loads.",
+        table(["condition", "over", *labels], rows),
+    ]
 
 
 def _calibration(estimators: Summary) -> list[str]:

@@ -23,6 +23,9 @@ VISIBLE_BINS = ((8, 15), (15, 25), (25, 40), (40, 60))
 SWEEP_BASE = "noise_0mm"
 """The first organs of the random suite without anything changed: what most sweeps are compared with."""
 
+NU_UNKNOWN = "nu_unknown"
+"""All simulations with another Poisson's ratio than the paper's."""
+
 COUNTS = {"random": 300, "own": 200, "user": 1334}
 """Samples of each suite; 1334 are the paper's."""
 SWEEP_COUNT = 60
@@ -33,8 +36,10 @@ _PLAIN = ObservationSettings()
 _RANDOM = Recipe(shapes="mixed")
 _NOISE_MM = (1, 2, 3)
 _SPARSE = 13
-_POISSON_RATIOS = (0.30, 0.35, 0.40, 0.45, 0.49)
+_KNOWN_RATIO = 0.35
+_POISSON_RATIOS = (0.30, _KNOWN_RATIO, 0.40, 0.45, 0.49)
 _WEAK_FORCE_N = (0.0, 0.5)
+_WEAK, _OTHER_LAW, _SEVERAL_LOADS = "neo_hookean_weak", "st_venant_kirchhoff", "three_loads_gravity"
 _THREE_LOADS = replace(_RANDOM, forces=(3, 3), gravity=(0.0, 0.15))
 
 
@@ -118,6 +123,24 @@ def _sees(truth: Truth, low: float, high: float) -> bool:
     return truth.visible_share is not None and low <= truth.visible_share < high
 
 
+def base_of(condition: str) -> str | None:
+    """Return the condition with the same organs, and nothing changed, that a condition of a sweep is compared with.
+
+    Examples
+    --------
+    >>> base_of("noise_2mm"), base_of("nu_0.45"), base_of("hidden_load")
+    ('noise_0mm', 'nu_0.35', None)
+    """
+    if condition in (_nu(_KNOWN_RATIO), SWEEP_BASE, _WEAK):
+        return None
+    if condition.startswith("nu_"):
+        return _nu(_KNOWN_RATIO)
+    if condition == _OTHER_LAW:
+        return _WEAK
+    swept = ("noise_", "sparse_", "outliers_", "attached_", _SEVERAL_LOADS)
+    return SWEEP_BASE if condition.startswith(swept) else None
+
+
 def make_plan(
     suites: Sequence[str],
     surfaces: Mapping[str, NamedSurface],
@@ -174,21 +197,22 @@ def _random_suite(samples: int, sweeps: int) -> list[DataSet]:
         View("attached_30_less", sweeps, ObservationSettings(attached_share=0.7)),
         View("attached_30_more", sweeps, ObservationSettings(attached_share=1.3)),
     ]
-    ratios = tuple((f"nu_{ratio:.2f}", Material(poisson_ratio=ratio)) for ratio in _POISSON_RATIOS)
-    laws = (
-        ("neo_hookean_weak", Material("neo_hookean")),
-        ("st_venant_kirchhoff", Material("st_venant_kirchhoff")),
-    )
+    ratios = tuple((_nu(ratio), Material(poisson_ratio=ratio)) for ratio in _POISSON_RATIOS)
+    laws = ((_WEAK, Material("neo_hookean")), (_OTHER_LAW, Material("st_venant_kirchhoff")))
     weak = replace(_RANDOM, force_n=_WEAK_FORCE_N)
     return [
         DataSet("random", RANDOM_SEED, _RANDOM, samples, tuple(views)),
         DataSet("nu", RANDOM_SEED, _RANDOM, sweeps, (View("nu", sweeps),), ratios),
         DataSet("law", RANDOM_SEED, weak, sweeps, (View("law", sweeps),), laws),
         DataSet(
-            "three_loads_gravity",
+            _SEVERAL_LOADS,
             RANDOM_SEED,
             _THREE_LOADS,
             sweeps,
-            (View("three_loads_gravity", sweeps),),
+            (View(_SEVERAL_LOADS, sweeps),),
         ),
     ]
+
+
+def _nu(ratio: float) -> str:
+    return f"nu_{ratio:.2f}"

@@ -12,7 +12,7 @@ import numpy as np
 from softtissue_training.evaluation import metrics
 from softtissue_training.evaluation.benchmark.intervals import mean_interval
 from softtissue_training.evaluation.benchmark.pairs import compare
-from softtissue_training.evaluation.benchmark.plan import Plan, condition_of
+from softtissue_training.evaluation.benchmark.plan import Plan, base_of, condition_of
 from softtissue_training.evaluation.measured import CaseResult
 from softtissue_training.evaluation.report import condition_row, summarise
 
@@ -45,6 +45,7 @@ def benchmark_summary(
         "estimators": {
             label: {name: _row(results, label) for name, results in groups.items()} for label in labels
         },
+        "over_base": {label: _over_base(groups, label) for label in labels},
         "pairs": {
             f"{one}_over_{other}": {
                 condition_of(suite): compare(results, one, other) for suite, results in suites.items()
@@ -67,6 +68,21 @@ def _row(results: Sequence[CaseResult], label: str) -> dict[str, Any]:
     }
     found = metrics.calibration(fair, label)
     return row | {"calibration": None if found is None else asdict(found)}
+
+
+def _over_base(groups: Groups, label: str) -> dict[str, Any]:
+    """Return the mean error under each condition of a sweep over that with nothing changed."""
+    found: dict[str, Any] = {}
+    for condition, results in groups.items():
+        base = base_of(condition)
+        if base is None:
+            continue
+        here, there = (
+            metrics.over_samples(metrics.compared(each), label) for each in (results, groups[base])
+        )
+        if here is not None and there is not None and there.mean_mm > 0.0:
+            found[condition] = {"base": base, "ratio": here.mean_mm / there.mean_mm}
+    return found
 
 
 def _mean_interval(results: Sequence[CaseResult], label: str) -> tuple[float, float] | None:

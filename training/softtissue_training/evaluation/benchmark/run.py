@@ -13,7 +13,15 @@ from typing import Any
 from softtissue_training.evaluation.benchmark.cases import SeenOrgan, seen_organs
 from softtissue_training.evaluation.benchmark.machine import machine
 from softtissue_training.evaluation.benchmark.markdown import markdown, overview
-from softtissue_training.evaluation.benchmark.plan import SWEEP_BASE, DataSet, Plan, condition_of, subsets
+from softtissue_training.evaluation.benchmark.plan import (
+    NU_UNKNOWN,
+    SWEEP_BASE,
+    DataSet,
+    Plan,
+    base_of,
+    condition_of,
+    subsets,
+)
 from softtissue_training.evaluation.benchmark.report import benchmark_summary
 from softtissue_training.evaluation.benchmark.simulations import make_simulations
 from softtissue_training.evaluation.measured import CaseResult
@@ -95,6 +103,8 @@ def group_by_condition(
             groups[name] = [result for result in whole if holds(result.truth)]
         if suite == "random":
             groups |= {SWEEP_BASE: whole[: _sweep_organs(plan)], **found}
+            others = [name for name in found if name.startswith("nu_") and base_of(name) is not None]
+            groups[NU_UNKNOWN] = [result for name in others for result in found[name]]
     return groups
 
 
