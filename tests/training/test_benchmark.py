@@ -15,6 +15,7 @@ from softtissue_training.cli import main
 from softtissue_training.errors import SolverDivergedError
 from softtissue_training.evaluation import figures, methods
 from softtissue_training.evaluation.benchmark import plan as planning
+from softtissue_training.evaluation.benchmark import report
 from softtissue_training.evaluation.benchmark import run as benchmark
 from softtissue_training.evaluation.benchmark.cases import seen_organs
 from softtissue_training.evaluation.benchmark.intervals import mean_interval
@@ -257,6 +258,19 @@ def test_interval_is_that_of_a_mean():
     half = 1.96 * values.std() / 20.0
     assert (low, high) == pytest.approx((values.mean() - half, values.mean() + half), abs=0.04)
     assert mean_interval(values[:2], np.ones(2), np.random.default_rng(0)) is None
+
+
+def test_samples_of_one_organ_are_no_independent_ones():
+    """Four equal samples an organ: the interval is that of the organs."""
+    values = 0.001 * np.random.default_rng(2).uniform(1.0, 3.0, 12)
+
+    def named(name, value):
+        one = result(value, value, 0.3, [0.005], [0.005])
+        return dataclasses.replace(one, truth=dataclasses.replace(one.truth, name=name))
+
+    once = [named(f"nu/{index}/a", value) for index, value in enumerate(values)]
+    often = [named(f"nu/{index}/{k}", value) for index, value in enumerate(values) for k in "abcd"]
+    assert report._mean_interval(often, "a") == pytest.approx(report._mean_interval(once, "a"))
 
 
 def test_pairs_are_of_labels_in_the_list():

@@ -50,7 +50,7 @@ class SeenOrgan:
         cases: list[EvaluationCase] = []
         for index, (condition, settings) in enumerate(zip(self.conditions, self.settings, strict=True)):
             sample = record.simulations[index // views]
-            name = f"{self.data.name}/{Path(self.name).stem}/{condition}"
+            name = case_name(self.data.name, Path(self.name).stem, condition)
             told = (sample.attached.tobytes(), settings.attached_share)
             if told not in organs:
                 organs[told] = told_organ(sample, settings, name)
@@ -58,6 +58,28 @@ class SeenOrgan:
             rng = np.random.default_rng([_OBSERVATION_SEED, *record.seed])
             cases.append(simulated_case(sample, settings, rng, name, organs[told]))
         return cases
+
+
+def case_name(data_set: str, organ: str, condition: str) -> str:
+    """Return what a case is called in tables.
+
+    Examples
+    --------
+    >>> case_name("random", "organ_000007", "noise_1mm")
+    'random/organ_000007/noise_1mm'
+    """
+    return f"{data_set}/{organ}/{condition}"
+
+
+def organ_of(name: str) -> str:
+    """Return the data set and organ of a case's name, which cases of one organ share.
+
+    Examples
+    --------
+    >>> organ_of("random/organ_000007/noise_1mm")
+    'random/organ_000007'
+    """
+    return name.rpartition("/")[0]
 
 
 def seen_organs(data: DataSet, folder: Path) -> tuple[list[SeenOrgan], str]:

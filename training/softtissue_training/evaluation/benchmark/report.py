@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from softtissue_training.evaluation import metrics
+from softtissue_training.evaluation.benchmark.cases import organ_of
 from softtissue_training.evaluation.benchmark.intervals import mean_interval
 from softtissue_training.evaluation.benchmark.pairs import compare
 from softtissue_training.evaluation.benchmark.plan import Plan, base_of, condition_of
@@ -86,10 +87,18 @@ def _over_base(groups: Groups, label: str) -> dict[str, Any]:
 
 
 def _mean_interval(results: Sequence[CaseResult], label: str) -> tuple[float, float] | None:
-    """Interval of `mean_mm`, for few and skewed samples say little without one."""
-    errors = [metrics.hidden_errors(result, label) for result in results]
-    means = np.array([1e3 * each.mean(dtype=np.float64) for each in errors if len(each)])
-    return mean_interval(means, np.ones(len(means)), np.random.default_rng(0))
+    """Return the interval of `mean_mm`, for few and skewed samples say little without one.
+
+    What is drawn again are organs with all their samples, because the samples of one organ resemble each other.
+    """
+    means: defaultdict[str, list[float]] = defaultdict(list)
+    for result in results:
+        errors = metrics.hidden_errors(result, label)
+        if len(errors):
+            means[organ_of(result.truth.name)].append(1e3 * float(errors.mean(dtype=np.float64)))
+    sums = np.array([sum(each) for each in means.values()])
+    counts = np.array([float(len(each)) for each in means.values()])
+    return mean_interval(sums, counts, np.random.default_rng(0))
 
 
 def _curves(results: Sequence[CaseResult]) -> dict[str, Any]:
