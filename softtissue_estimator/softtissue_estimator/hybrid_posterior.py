@@ -28,7 +28,8 @@ class PosteriorReader:
     sample_tet
         (s,) tetrahedron of each of these samples.
     points
-        (b, 3) centres of the cells that carry the posterior, metres.
+        (b, 3) centres of the cells that carry the posterior, metres; those far outside the tetrahedra drawn nearer to
+        them, so that an estimate there is linear in its values at the nodes.
     interpolation
         (b, nodes) from the nodes to these.
     """
@@ -57,8 +58,9 @@ class PosteriorReader:
 
 def make_reader(estimator: ElasticEstimator, lookup: SurfaceLookup, points: FloatArray) -> PosteriorReader:
     """Locate the given points (b, 3) m, and the surface of the organ that the estimator has loaded."""
-    mesh = estimator.mesh
-    return PosteriorReader(mesh, lookup, mesh.locate(lookup.samples), points, estimator.interpolation(points))
+    mesh, interpolation = estimator.mesh, estimator.interpolation(points)
+    reached = np.asarray(interpolation @ mesh.nodes)
+    return PosteriorReader(mesh, lookup, mesh.locate(lookup.samples), reached, interpolation)
 
 
 def interpolation_in(mesh: VolumeMesh, points: FloatArray, tet: IntArray) -> csr_array:

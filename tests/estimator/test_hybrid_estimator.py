@@ -96,8 +96,10 @@ def test_it_reads_the_posterior_and_what_was_seen(tmp_path, network, observation
     channels, cells, mean, sigma, seen, _ = given[0]
     centres = channels.grid.points()[cells.numpy()]
     expected = estimate.displacement_at(centres)
-    np.testing.assert_allclose(mean.numpy(), expected[0], atol=1e-12)
-    np.testing.assert_allclose(sigma.numpy(), expected[1], rtol=1e-12)
+    inside = channels.signed_distance.reshape(-1)[cells].numpy() < -0.002
+    assert inside.sum() > 100
+    np.testing.assert_allclose(mean.numpy()[inside], expected[0][inside], atol=1e-12)
+    np.testing.assert_allclose(sigma.numpy()[inside], expected[1][inside], rtol=1e-12)
     reference = seen.reference.numpy()
     assert 50 < len(reference) < len(observation.reference)
     # The field is smooth: averaging over patches of 5 mm changes it by hundredths of a millimetre.

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.hybrid_network import HybridNetwork
 from softtissue_estimator.network import UNet
 
 PRECISIONS = ("auto", "float32", "bfloat16")
@@ -44,7 +45,7 @@ def has_bfloat16(device: torch.device) -> bool:
     return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
 
 
-def restrict_autocast(network: UNet, device: torch.device) -> None:
+def restrict_autocast(network: UNet | HybridNetwork, device: torch.device) -> None:
     """Keep the outputs of a network in float32, and on a CPU its coarse levels too, whatever autocast says.
 
     An output of 40 mm in bfloat16 would be rounded to 0.2 mm. With torch 2.13 and AVX-512, the gradients of bfloat16

@@ -11,6 +11,7 @@ from softtissue_training.learning.hybrid.batches import HybridBatch
 from softtissue_training.learning.hybrid.config import HybridConfig
 from softtissue_training.learning.hybrid.loss import view_losses
 from softtissue_training.learning.optimisation import Optimisation
+from softtissue_training.learning.precision import restrict_autocast
 
 
 class HybridLearner(Optimisation[HybridNetwork]):
@@ -24,6 +25,7 @@ class HybridLearner(Optimisation[HybridNetwork]):
             network = HybridNetwork(config.spec.architecture)
         initialise(network, torch.Generator().manual_seed(config.seed))
         super().__init__(network, config, device, ranks)
+        restrict_autocast(self.network, device)
         self._shared: nn.Module | None = None
 
     def gradient(self, batch: HybridBatch) -> Tensor:
