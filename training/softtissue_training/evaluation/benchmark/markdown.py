@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+from softtissue_training.evaluation.benchmark.fairness import MOST_FAILURES
+
 Summary = Mapping[str, Any]
 
 
@@ -15,16 +17,18 @@ def markdown(summary: Summary) -> str:
         "# In-silico benchmark",
         _about(summary),
         "## Mean error, mm",
-        "Mean over samples of the mean error over the points that are not visible; n is the number of samples.",
-        _by_condition(estimators, lambda row: _number(row.get("mean_mm"))),
+        "Mean over samples of the mean error over the points that are not visible; n is the number of samples. "
+        f"An estimator that fails on more than {MOST_FAILURES:.0%} of a condition's samples is left out of it; "
+        "what another fails on counts for nobody.",
+        _by_condition(summary, lambda row: _number(row.get("mean_mm"))),
         "## Median / 95 % / largest sample, mm",
         _by_condition(
-            estimators,
+            summary,
             lambda row: " / ".join(_number(row.get(name)) for name in ("median_mm", "p95_mm", "max_mm")),
         ),
         "## 95 % interval of the mean, mm",
         "Samples drawn again with replacement.",
-        _by_condition(estimators, lambda row: _interval(row.get("mean_95_mm"))),
+        _by_condition(summary, lambda row: _interval(row.get("mean_95_mm"))),
         *_over_base(summary["over_base"]),
         *_calibration(estimators),
         *_pairs(summary["pairs"]),
@@ -36,7 +40,7 @@ def markdown(summary: Summary) -> str:
 
 def overview(summary: Summary) -> str:
     """Return the table that matters most, to print: mean errors by condition."""
-    rows = _by_condition(summary["estimators"], lambda row: _number(row.get("mean_mm")))
+    rows = _by_condition(summary, lambda row: _number(row.get("mean_mm")))
     return f"mean over samples of the mean error over points not visible, mm\n\n{rows}"
 
 
@@ -56,18 +60,14 @@ def _about(summary: Summary) -> str:
     return "\n".join(lines)
 
 
-def _by_condition(estimators: Summary, cell: Callable[[Summary], str]) -> str:
-    labels = list(estimators)
-    conditions = list(estimators[labels[0]])
+def _by_condition(summary: Summary, cell: Callable[[Summary], str]) -> str:
+    estimators = summary["estimators"]
     rows = [
-        [
-            f"`{condition}`",
-            str(estimators[labels[0]][condition]["samples"]),
-            *(cell(estimators[label][condition]) for label in labels),
-        ]
-        for condition in conditions
+        [f"`{condition}`", str(samples["compared"])]
+        + [cell(by_condition[condition]) for by_condition in estimators.values()]
+        for condition, samples in summary["samples"].items()
     ]
-    return table(["condition", "n", *labels], rows)
+    return table(["condition", "n", *estimators], rows)
 
 
 def _over_base(ratios: Mapping[str, Summary]) -> list[str]:

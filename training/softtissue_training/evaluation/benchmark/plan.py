@@ -30,7 +30,7 @@ COUNTS = {"random": 300, "own": 200, "user": 1334}
 """Samples of each suite; 1334 are the paper's."""
 SWEEP_COUNT = 60
 QUICK_COUNTS = {"random": 60, "own": 20, "user": 20}
-QUICK_SWEEP_COUNT = 6
+QUICK_SWEEP_COUNT = 10
 
 _PLAIN = ObservationSettings()
 _RANDOM = Recipe(shapes="mixed")

@@ -11,6 +11,7 @@ import numpy as np
 
 from softtissue_training.evaluation import metrics
 from softtissue_training.evaluation.benchmark.cases import organ_of
+from softtissue_training.evaluation.benchmark.fairness import among_answering
 from softtissue_training.evaluation.benchmark.intervals import mean_interval
 from softtissue_training.evaluation.benchmark.pairs import compare
 from softtissue_training.evaluation.benchmark.plan import Plan, base_of, condition_of
@@ -38,9 +39,9 @@ def benchmark_summary(
     suites = {suite: groups[condition_of(suite)] for suite in plan.suites}
     return {
         "format": FORMAT_VERSION,
-        "points": "not visible, unless a name says all_points; samples that an estimator failed on count for nobody",
+        "points": "not visible, unless a name says all_points",
         "samples": {
-            name: {"asked": len(results), "compared": len(metrics.compared(results))}
+            name: {"asked": len(results), "compared": len(metrics.compared(among_answering(results)))}
             for name, results in groups.items()
         },
         "estimators": {
@@ -58,32 +59,46 @@ def benchmark_summary(
 
 
 def _row(results: Sequence[CaseResult], label: str) -> dict[str, Any]:
-    fair = metrics.compared(results)
+    fair = _fair(results, label)
     failures = Counter(
         failure for result in results if (failure := result.answers[label].failure) is not None
     )
-    row = condition_row(fair, label) | {
+    found = metrics.calibration(fair, label)
+    return condition_row(fair, label) | {
         "mean_95_mm": _mean_interval(fair, label),
         "failed": sum(failures.values()),
         "failures": dict(failures.most_common()),
+        "calibration": None if found is None else asdict(found),
     }
-    found = metrics.calibration(fair, label)
-    return row | {"calibration": None if found is None else asdict(found)}
+
+
+def _fair(results: Sequence[CaseResult], label: str) -> list[CaseResult]:
+    """Return the samples to compare; none for an estimator that is left out."""
+    fair = metrics.compared(among_answering(results))
+    return fair if fair and label in fair[0].answers else []
 
 
 def _over_base(groups: Groups, label: str) -> dict[str, Any]:
-    """Return the mean error under each condition of a sweep over that with nothing changed."""
+    """Return the mean error under each condition of a sweep over that of the same organs with nothing changed."""
     found: dict[str, Any] = {}
     for condition, results in groups.items():
         base = base_of(condition)
         if base is None:
             continue
-        here, there = (
-            metrics.over_samples(metrics.compared(each), label) for each in (results, groups[base])
+        here, there = _fair(results, label), _fair(groups[base], label)
+        common = {_number_of(result) for result in here} & {_number_of(result) for result in there}
+        changed, unchanged = (
+            metrics.over_samples([result for result in each if _number_of(result) in common], label)
+            for each in (here, there)
         )
-        if here is not None and there is not None and there.mean_mm > 0.0:
-            found[condition] = {"base": base, "ratio": here.mean_mm / there.mean_mm}
+        if changed is not None and unchanged is not None and unchanged.mean_mm > 0.0:
+            found[condition] = {"base": base, "ratio": changed.mean_mm / unchanged.mean_mm}
     return found
+
+
+def _number_of(result: CaseResult) -> str:
+    """Return the organ's part of a case's name, which is the same in all data sets of a suite."""
+    return organ_of(result.truth.name).rpartition("/")[2]
 
 
 def _mean_interval(results: Sequence[CaseResult], label: str) -> tuple[float, float] | None:
@@ -104,5 +119,5 @@ def _mean_interval(results: Sequence[CaseResult], label: str) -> tuple[float, fl
 def _curves(results: Sequence[CaseResult]) -> dict[str, Any]:
     """Return what the figures show, by estimator."""
     wanted = ("time_s", "by_visible_share", "by_depth", "by_displacement", "by_depth_at_displacement")
-    found = summarise(results)["estimators"]
+    found = summarise(among_answering(results))["estimators"]
     return {label: {name: one[name] for name in wanted} for label, one in found.items()}

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from softtissue_training.evaluation.benchmark.cases import SeenOrgan, seen_organs
+from softtissue_training.evaluation.benchmark.fairness import among_answering
 from softtissue_training.evaluation.benchmark.machine import machine
 from softtissue_training.evaluation.benchmark.markdown import markdown, overview
 from softtissue_training.evaluation.benchmark.plan import (
@@ -142,5 +143,5 @@ def _write(
     write_json(out / SUMMARY, summary)
     replace_text(out / REPORT, markdown(summary))
     for suite in plan.suites:
-        write_figures(out / FIGURES / suite, groups[condition_of(suite)])
+        write_figures(out / FIGURES / suite, among_answering(groups[condition_of(suite)]))
     return f"{overview(summary)}\n\nall figures: {out / REPORT}, {out / SUMMARY}, {out / FIGURES}"
