@@ -5,10 +5,11 @@ It reads, on a grid around the organ, the elastic posterior (mean, logarithm of 
 four outputs are smooth fields f and g; with the posterior's mean m(p) and standard deviation s(p), known exactly at
 every point p, the answer is
 
-    u(p) = m(p) + s(p) f(p),    sigma(p) = c s(p) exp(g(p)),
+    u(p) = m(p) + a s(p) f(p),    sigma(p) = c s(p) exp(g(p)),
 
-with f and g interpolated linearly between cells and c one number that calibrates sigma after training. Where the
-output is zero and c is one, this is the posterior itself. |f| and |g| are bounded, so that whatever the network makes
+with f and g interpolated linearly between cells. Two numbers are found after training, on organs that were held out: a,
+from zero to one, is how far the remainder is to be trusted, and c calibrates sigma. Where the output is zero and c is
+one, this is the posterior itself. |f| and |g| are bounded, so that whatever the network makes
 of an input unlike all that it was trained on, the answer stays within a few of the posterior's standard deviations.
 """
 
@@ -67,6 +68,8 @@ class HybridSpec:
         Bound of |f| in each component.
     log_sigma_limit
         Bound of |g|.
+    remainder_gain
+        The a by which the remainder is multiplied.
     sigma_factor
         The c that calibrates the standard deviation.
     architecture
@@ -79,6 +82,7 @@ class HybridSpec:
     input_scales: tuple[float, ...] = HYBRID_SCALES
     remainder_limit: float = 6.0
     log_sigma_limit: float = 3.0
+    remainder_gain: float = 1.0
     sigma_factor: float = 1.0
     architecture: HybridArchitecture = field(default_factory=HybridArchitecture)
 
@@ -192,4 +196,4 @@ def remainder(outputs: Tensor, sigma: Tensor, spec: HybridSpec) -> tuple[Tensor,
     """
     bounded = spec.remainder_limit * torch.tanh(outputs[..., :3] / spec.remainder_limit)
     change = spec.log_sigma_limit * torch.tanh(outputs[..., 3] / spec.log_sigma_limit)
-    return sigma.unsqueeze(-1) * bounded, sigma * change.exp() * spec.sigma_factor
+    return spec.remainder_gain * sigma.unsqueeze(-1) * bounded, sigma * change.exp() * spec.sigma_factor

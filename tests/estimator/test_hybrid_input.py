@@ -103,6 +103,9 @@ def test_outputs_are_in_units_of_the_posteriors_deviation_and_bounded():
     torch.testing.assert_close(added[0], 0.002 * outputs[0, :3], rtol=1e-4, atol=0.0)
     assert float(predicted[0]) == pytest.approx(1.5 * 0.002 * math.exp(0.05), rel=1e-4)
     torch.testing.assert_close(added[1], torch.tensor([0.006, -0.006, 0.0]).double())
+    half = HybridSpec(remainder_gain=0.5, log_sigma_limit=3.0, sigma_factor=1.5)
+    torch.testing.assert_close(remainder(outputs, sigma, half)[0], 0.5 * added)
+    torch.testing.assert_close(remainder(outputs, sigma, half)[1], predicted)
     assert float(predicted[1]) == pytest.approx(1.5 * 0.001 * math.exp(-3.0))
 
 

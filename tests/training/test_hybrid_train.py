@@ -11,14 +11,23 @@ from safetensors.torch import load_file
 
 from softtissue_estimator.errors import CheckpointError
 from softtissue_estimator.hybrid_checkpoint import load_hybrid_checkpoint
+from softtissue_estimator.hybrid_network import HybridNetwork
 from softtissue_training.cli import main
 from softtissue_training.learning.hybrid.batches import collate
 from softtissue_training.learning.hybrid.config import get_hybrid_config
 from softtissue_training.learning.hybrid.loss import view_losses
 from softtissue_training.learning.hybrid.posterior_record import format_posteriors
+from softtissue_training.learning.hybrid.posterior_set import PosteriorSet
 from softtissue_training.learning.hybrid.sample import HybridSample
 from softtissue_training.learning.hybrid.train import train_hybrid
-from softtissue_training.learning.hybrid.validation import _EDGES, calibration, summarised
+from softtissue_training.learning.hybrid.validation import (
+    _EDGES,
+    GAINS,
+    TABLE,
+    HybridValidation,
+    calibration,
+    summarised,
+)
 from softtissue_training.learning.run_files import LOG, LOSS, STATE, WEIGHTS
 from softtissue_training.learning.run_summary import SUMMARY
 from softtissue_training.learning.schedule import Schedule
@@ -114,13 +123,34 @@ def test_calibration_finds_the_factor_of_a_normal_distribution():
 
 
 def test_results_are_means_over_views_in_bins_of_what_is_seen():
-    table = np.zeros((4, 3 + len(_EDGES) + 1))
-    table[:, 0], table[:, 1], table[:, 2] = (1.0, 2.0, 3.0, 4.0), (2.0, 2.0, 4.0, 8.0), (1.0, 2.0, 3.0, 5.0)
-    table[:, 3:] = 1.0 / (len(_EDGES) + 1)
+    table = np.zeros((4, *TABLE))
+    table[:, :, 0] = 9.0
+    best = GAINS.index(0.75)
+    table[:, best, 0] = (1.0, 2.0, 3.0, 4.0)
+    table[:, :, 1], table[:, :, 2] = ([[2.0], [2.0], [4.0], [8.0]], [[1.0], [2.0], [3.0], [5.0]])
+    table[:, :, 3], table[:, :, 4:] = 20.0, 1.0 / (len(_EDGES) + 1)
     result = summarised(table, np.array([0.05, 0.10, 0.12, 1.0]))
-    assert (result.error, result.elastic_error) == (2.5, 4.0)
+    assert (result.error, result.elastic_error, result.remainder_gain) == (2.5, 4.0, 0.75)
+    assert result.score == pytest.approx(2.5 + 1e-4 * 20.0)
     assert result.correlation == pytest.approx(np.corrcoef([1, 2, 3, 4], [1, 2, 3, 5])[0, 1])
     assert result.by_share == ((1, 1.0, 2.0), (2, 2.5, 3.0), (0, 0.0, 0.0), (0, 0.0, 0.0), (1, 4.0, 8.0))
+
+
+def test_a_remainder_that_does_not_hold_is_not_trusted(folder):
+    """Outputs that point away from the truth: the gain is zero, and the error that of the posterior."""
+    views = PosteriorSet([folder], CONFIG, show_progress=False).held_out
+    network = HybridNetwork(CONFIG.spec.architecture)
+    wrong = torch.nn.Parameter(-torch.tensor([1.0, -0.5, 0.75, 0.0]))
+    with torch.no_grad():
+        network.heads[0].weight.zero_()
+        network.heads[0].bias.copy_(wrong)
+    result = HybridValidation(views, CONFIG.spec, torch.device("cpu"))(network)
+    assert (result.remainder_gain, result.error) == (0.0, result.elastic_error)
+    with torch.no_grad():
+        network.heads[0].bias.copy_(-0.5 * wrong)
+    right = HybridValidation(views, CONFIG.spec, torch.device("cpu"))(network)
+    assert right.remainder_gain == 1.0 and right.error < 0.9 * right.elastic_error
+    assert right.score < result.score
 
 
 def rows(path):
@@ -137,7 +167,9 @@ def test_remainder_is_learned_by_heart(folder, tmp_path):
     assert 0.9 < best["within_two"] < 0.99
     stored = load_hybrid_checkpoint(tmp_path / WEIGHTS)
     assert stored.provenance == best
-    assert stored.spec == dataclasses.replace(CONFIG.spec, sigma_factor=stored.spec.sigma_factor)
+    calibrated = {name: getattr(stored.spec, name) for name in ("remainder_gain", "sigma_factor")}
+    assert stored.spec == dataclasses.replace(CONFIG.spec, **calibrated)
+    assert stored.spec.remainder_gain == 1.0
     last = next(row for row in rows(tmp_path / LOG) if int(row["step"]) == best["steps"])
     assert float(last["sigma_factor"]) == pytest.approx(stored.spec.sigma_factor, abs=1e-3)
     assert json.loads((tmp_path / SUMMARY).read_text())["provenance"] == best

@@ -34,7 +34,11 @@ class Validated(Protocol):
 
     @property
     def error(self) -> float:
-        """What is to become small, metres."""
+        """Mean distance from the truth, metres."""
+
+    @property
+    def score(self) -> float:
+        """What the best weights are chosen by; small is good."""
 
 
 DrawnT = TypeVar("DrawnT", bound=Drawn)
@@ -171,8 +175,8 @@ class RunLoop(ABC, Generic[DrawnT, ResultT]):
 
     def _keep_if_best(self, result: ResultT) -> None:
         progress = self.progress
-        if result.error < progress.best_error:
-            progress.best_error, progress.best_step = result.error, progress.step
+        if result.score < progress.best_error:
+            progress.best_error, progress.best_step = result.score, progress.step
             progress.without_improvement = 0
             if self.files is not None:
                 self.files.save_weights(self.learner, progress, result)

@@ -33,7 +33,8 @@ class Progress:
     seconds
         Time spent, over all parts of the run.
     best_error, best_step
-        Lowest validation error, metres, and the step after which it was reached.
+        Lowest score of a validation, for the paper's network its error in metres, and the step after which it was
+        reached.
     without_improvement
         Validations since then.
     validated_step, validated_seconds

@@ -36,6 +36,11 @@ class ValidationResult:
     displacement: float
     rigid_error: float
 
+    @property
+    def score(self) -> float:
+        """What the best weights are chosen by: the error."""
+        return self.error
+
 
 class Validation:
     """Samples with visible patches that stay the same through a training run.

@@ -40,6 +40,7 @@ _COLUMNS = (
     "within_one",
     "within_two",
     "correlation",
+    "remainder_gain",
     "sigma_factor",
 )
 
@@ -206,8 +207,10 @@ class HybridRunFiles(RunFiles[HybridResult]):
         self._config, self._dataset, self._options = config, dataset, options
 
     def save_weights(self, learner: Optimisation[Any], progress: Progress, result: HybridResult) -> None:
-        """Keep the present weights as the best, with their calibration."""
-        spec = replace(self._config.spec, sigma_factor=result.sigma_factor)
+        """Keep the present weights as the best, with their gain and calibration."""
+        spec = replace(
+            self._config.spec, remainder_gain=result.remainder_gain, sigma_factor=result.sigma_factor
+        )
         source = self._provenance(progress, result)
         save_hybrid_checkpoint(self._out / WEIGHTS, learner.average, spec, source)
 
@@ -244,6 +247,7 @@ class HybridRunFiles(RunFiles[HybridResult]):
             f"{result.within_one:.3f}",
             f"{result.within_two:.3f}",
             f"{result.correlation:.3f}",
+            f"{result.remainder_gain:.2f}",
             f"{result.sigma_factor:.3f}",
         )
 

@@ -24,6 +24,9 @@ FloatArray = NDArray[np.float64]
 
 SHARES = (0.0, 0.08, 0.15, 0.25, 0.6, 1.01)
 """Limits of the bins of the visible share."""
+GAINS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares of the remainder that are tried."""
+_LIKELIHOOD_M = 1e-4  # error that a nat of likelihood is worth, when the best weights are chosen
 _EDGES = np.geomspace(0.01, 30.0, 161)  # of |error| / sigma
 _WANTED = ((1.0, 0.6827), (2.0, 0.9545))
 
@@ -36,6 +39,10 @@ class HybridResult:
     ----------
     error, elastic_error
         Mean over views of the mean distance from the truth, with and without the network.
+    score
+        What the best weights are chosen by: the error, and how well the standard deviation fits.
+    remainder_gain
+        Of `GAINS`, the one with the smallest error; all else is with it.
     sigma_factor
         What calibrates the standard deviation on these views; the next two are with it.
     within_one, within_two
@@ -48,6 +55,8 @@ class HybridResult:
 
     error: float
     elastic_error: float
+    score: float
+    remainder_gain: float
     sigma_factor: float
     within_one: float
     within_two: float
@@ -72,7 +81,7 @@ class HybridValidation:
         ranks = ranks or Ranks()
         was_training = network.training
         network.eval()
-        table = torch.zeros((len(self._views), 3 + len(_EDGES) + 1), dtype=torch.float64)
+        table = torch.zeros((len(self._views), *TABLE), dtype=torch.float64)
         with torch.inference_mode():
             for number in slots_of(ranks.rank, ranks.size, len(self._views)):
                 table[number] = self._measure(network, self._views[number])
@@ -81,18 +90,21 @@ class HybridValidation:
         return summarised(ranks.sum(table.to(self._device)).cpu().numpy(), shares)
 
     def _measure(self, network: HybridNetwork, view: ViewOf) -> Tensor:
-        """Return error, elastic error, standard deviation and the histogram of errors over sigma of a view."""
+        """Return a row of the table that `summarised` describes."""
         batch = collate([hybrid_sample(view.case, view.view, self._spec)], 1).to(self._device)
         found, sigma = answers(network(batch.inputs), batch, self._spec)
+        sigma = sigma / self._spec.sigma_factor
         weight = _counted(batch)
-        off = found - batch.target
-        means = [
-            weighted_mean(values, weight)
-            for values in (off.norm(dim=2), batch.target.norm(dim=2), sigma / self._spec.sigma_factor)
-        ]
-        ratio = (off.abs() / sigma.unsqueeze(2) * self._spec.sigma_factor)[weight > 0.0].cpu().numpy()
-        counts = np.bincount(np.digitize(ratio.ravel(), _EDGES), minlength=len(_EDGES) + 1)
-        return torch.cat([torch.stack(means).squeeze(1).cpu(), torch.from_numpy(counts / max(1, ratio.size))])
+        likelihood = (found - batch.target).square().sum(dim=2) / sigma.square() / 6.0 + sigma.log()
+        common = [weighted_mean(values, weight) for values in (batch.target.norm(dim=2), sigma, likelihood)]
+        rows = []
+        for gain in GAINS:
+            off = gain * found - batch.target
+            ratio = (off.abs() / sigma.unsqueeze(2))[weight > 0.0].cpu().numpy()
+            counts = np.bincount(np.digitize(ratio.ravel(), _EDGES), minlength=len(_EDGES) + 1)
+            means = torch.stack([weighted_mean(off.norm(dim=2), weight), *common]).squeeze(1).cpu()
+            rows.append(torch.cat([means.double(), torch.from_numpy(counts / max(1, ratio.size))]))
+        return torch.stack(rows)
 
 
 def _counted(batch: HybridBatch) -> Tensor:
@@ -100,10 +112,24 @@ def _counted(batch: HybridBatch) -> Tensor:
     return batch.hidden if bool(batch.hidden.any()) else batch.visible
 
 
+TABLE = (len(GAINS), 4 + len(_EDGES) + 1)
+"""Shape of what is noted of a view."""
+
+
 def summarised(table: FloatArray, shares: FloatArray) -> HybridResult:
-    """Put rows of error, elastic error, sigma and histogram (views, 3 + bins) together; `shares` is (views,)."""
-    error, elastic, sigma = table[:, :3].T
-    factor, within = calibration(table[:, 3:].mean(axis=0))
+    """Put what was noted of all views together, and choose the gain and the calibration.
+
+    Parameters
+    ----------
+    table
+        (views, *TABLE): for each gain the error, the elastic error, the standard deviation (metres), the negative
+        logarithm of the likelihood without the gain, and the histogram of errors over standard deviation.
+    shares
+        (views,) visible share of the surface.
+    """
+    best = int(table[:, :, 0].mean(axis=0).argmin())
+    error, elastic, sigma, likelihood = table[:, best, :4].T
+    factor, within = calibration(table[:, best, 4:].mean(axis=0))
     spread = min(float(np.std(error)), float(np.std(sigma)))
     bins = []
     for low, high in itertools.pairwise(SHARES):
@@ -113,6 +139,8 @@ def summarised(table: FloatArray, shares: FloatArray) -> HybridResult:
     return HybridResult(
         error=float(error.mean()),
         elastic_error=float(elastic.mean()),
+        score=float(error.mean()) + _LIKELIHOOD_M * float(likelihood.mean()),
+        remainder_gain=GAINS[best],
         sigma_factor=factor,
         within_one=within[0],
         within_two=within[1],
