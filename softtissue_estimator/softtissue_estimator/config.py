@@ -77,14 +77,14 @@ class EstimatorConfig:
         0.35, "Poisson's ratio of the organ, used by 'elastic'.", limits=(0.0, 0.49)
     )
     prior_sigma_m: float = _setting(
-        0.004,
-        "How far visible points are expected to move beyond a rigid motion, used by 'elastic'.",
+        0.015,
+        "How far visible points are expected to move, before anything is seen; used by 'elastic'.",
         unit="m",
         limits=(0.0005, 0.1),
     )
     model_sigma_m: float = _setting(
-        0.0007,
-        "Error of the elastic model itself; points of one small neighbourhood share it.",
+        0.0004,
+        "Least error of the elastic model itself, which points of one small neighbourhood share; used by 'elastic'.",
         unit="m",
         limits=(1e-5, 0.01),
     )

@@ -14,6 +14,20 @@ def shape_gradients(mesh: VolumeMesh) -> FloatArray:
     return np.concatenate([first, -first.sum(axis=1, keepdims=True)], axis=1)
 
 
+def lame_constants(poisson_ratio: float) -> tuple[float, float]:
+    """Lame's constants lambda and mu over Young's modulus.
+
+    Raises
+    ------
+    InvalidInputError
+        If Poisson's ratio is not from 0 to below 0.5.
+    """
+    if not 0.0 <= poisson_ratio < 0.5:
+        raise InvalidInputError(f"Poisson's ratio: expected 0 to below 0.5, got {poisson_ratio}")
+    shear = 0.5 / (1.0 + poisson_ratio)
+    return 2.0 * shear * poisson_ratio / (1.0 - 2.0 * poisson_ratio), shear
+
+
 def stiffness(mesh: VolumeMesh, poisson_ratio: float, youngs_modulus_pa: float = 1.0) -> csr_array:
     """Assemble the stiffness matrix at rest of a homogeneous, isotropic body.
 
@@ -32,10 +46,7 @@ def stiffness(mesh: VolumeMesh, poisson_ratio: float, youngs_modulus_pa: float =
     csr_array, (3 n, 3 n) N/m
         Component a of node i is row 3 i + a.
     """
-    if not 0.0 <= poisson_ratio < 0.5:
-        raise InvalidInputError(f"Poisson's ratio: expected 0 to below 0.5, got {poisson_ratio}")
-    shear = youngs_modulus_pa / (2.0 * (1.0 + poisson_ratio))
-    lame = 2.0 * shear * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
+    lame, shear = (youngs_modulus_pa * constant for constant in lame_constants(poisson_ratio))
     gradient = shape_gradients(mesh)
     products = np.einsum("eia,ejb->eiajb", gradient, gradient)
     dots = np.einsum("eia,eja->eij", gradient, gradient)
@@ -52,3 +63,9 @@ def stiffness(mesh: VolumeMesh, poisson_ratio: float, youngs_modulus_pa: float =
 def nodal_areas(mesh: VolumeMesh) -> FloatArray:
     """Share of the boundary's area that belongs to each node, (n,) m^2; zero inside."""
     return vertex_areas(SurfaceMesh(mesh.nodes, mesh.boundary_faces))
+
+
+def nodal_volumes(mesh: VolumeMesh) -> FloatArray:
+    """Share of the volume that belongs to each node, (n,) m^3."""
+    share = np.repeat(mesh.volumes / 4.0, 4)
+    return np.bincount(mesh.tets.ravel(), weights=share, minlength=len(mesh.nodes)).astype(np.float64)

@@ -95,6 +95,22 @@ class Organ:
         return np.concatenate([self.structure_points, self.surface.vertices])
 
     @cached_property
+    def geometry_digest(self) -> str:
+        """Hash of the surface and of the query points: equal for organs that differ in their attached region alone."""
+        content = hashlib.sha256()
+        for array in (self.surface.faces, self.query_points):
+            content.update(f"{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+        return content.hexdigest()
+
+    def with_attached(self, attached: BoolArray) -> "Organ":
+        """Return the same organ attached elsewhere, (n,) flags; what was computed of its geometry is kept."""
+        other = make_organ(self.name, self.frame, self.surface, self.structures, attached, self.folder)
+        for name in ("geometry_digest", "query_points", "structure_points", "surface_lookup"):
+            if name in self.__dict__:
+                other.__dict__[name] = self.__dict__[name]
+        return other
+
+    @cached_property
     def surface_lookup(self) -> SurfaceLookup:
         """Table for finding the nearest surface of many points at once; built when first asked for."""
         return build_surface_lookup(self.surface)

@@ -2,28 +2,34 @@
 
 import numpy as np
 import pytest
+import torch
 from scipy.sparse import csr_array
 
 from estimator.shapes import box_tets
-from softtissue_estimator import elastic_posterior
-from softtissue_estimator.elastic_posterior import build_prior, condition, standard_deviation
-from softtissue_estimator.elasticity import nodal_areas, stiffness
+from softtissue_estimator.elastic_posterior import (
+    condition,
+    equal_variances,
+    mean_displacement,
+    standard_deviation,
+    sum_up,
+)
+from softtissue_estimator.elasticity import stiffness
+from softtissue_estimator.hyperelastic import HyperelasticBody
+from softtissue_estimator.loads import load_basis
 
+CPU = torch.device("cpu")
 LENGTHS = (0.09, 0.05, 0.03)
 MESH = box_tets(LENGTHS, (6, 4, 3))
 HELD = np.flatnonzero(MESH.nodes[:, 0] < 1e-9)
-ATTACHED = csr_array((np.ones(len(HELD)), (np.arange(len(HELD)), HELD)), shape=(len(HELD), len(MESH.nodes)))
-AREAS = np.full(len(HELD), LENGTHS[1] * LENGTHS[2] / len(HELD))
-PRIOR = build_prior(MESH, ATTACHED, AREAS, 0.35, modes=10_000)
+LOADS = load_basis(MESH)
+SPRINGS = np.zeros((len(MESH.nodes), len(MESH.nodes)))
+SPRINGS[HELD, HELD] = 0.05
+BODY = HyperelasticBody(MESH, 0.35, SPRINGS, LOADS, CPU)
+REST = torch.zeros((len(MESH.nodes), 3), dtype=torch.float64)
+TANGENT = BODY.linearise(REST, REST)
 SEEN = np.flatnonzero((MESH.nodes[:, 2] > LENGTHS[2] - 1e-9) & (MESH.nodes[:, 0] > 0.03))
 OBSERVE = csr_array((np.ones(len(SEEN)), (np.arange(len(SEEN)), SEEN)), shape=(len(SEEN), len(MESH.nodes)))
-FAR = np.flatnonzero((MESH.nodes[:, 2] < 1e-9) & (MESH.nodes[:, 0] > 0.08))
-SIGMA_M = 0.001
-
-
-@pytest.fixture
-def fixed_scale(monkeypatch):
-    monkeypatch.setattr(elastic_posterior, "_SCALE_ITERATIONS", 0)
+PRECISION = np.full(len(SEEN), 0.001**-2)
 
 
 def observed(seed=0, noise=0.0):
@@ -32,111 +38,68 @@ def observed(seed=0, noise=0.0):
     return bend[SEEN] + noise * rng.normal(size=(len(SEEN), 3))
 
 
-def dense_covariance():
-    """P = K^-1 (G (x) I) K^-T by the book, up to its scale."""
-    matrix = stiffness(MESH, 0.35).toarray()
-    springs = np.zeros(len(MESH.nodes))
-    springs[HELD] = AREAS / elastic_posterior.SPRING_LENGTH_M
-    matrix += np.diag(np.repeat(springs, 3))
-    areas = nodal_areas(MESH)
-    squared = ((MESH.nodes[:, None] - MESH.nodes) ** 2).sum(axis=2)
-    kernel = np.exp(-squared / (2.0 * 0.015**2)) * np.sqrt(areas[:, None] * areas)
-    inverse = np.linalg.inv(matrix)
-    return inverse @ np.kron(kernel, np.eye(3)) @ inverse.T
+def dense_covariance(variances):
+    """P = K^-1 B V B^T K^-T by the book."""
+    matrix = stiffness(MESH, 0.35).toarray() + np.kron(SPRINGS, np.eye(3))
+    response = np.linalg.solve(matrix, np.kron(LOADS, np.eye(3)))
+    return (response * np.repeat(variances, 3)) @ response.T
 
 
-def without_rigid(covariance):
-    """Covariance of what is left of displacements of the seen points once their rigid motion is fitted."""
-    x, y, z = (MESH.nodes[SEEN] - MESH.nodes[SEEN].mean(axis=0)).T
-    motions = np.zeros((len(SEEN), 3, 6))
-    motions[:, [0, 1, 2], [0, 1, 2]] = 1.0
-    motions[:, 1, 3], motions[:, 2, 3] = -z, y
-    motions[:, 0, 4], motions[:, 2, 4] = z, -x
-    motions[:, 0, 5], motions[:, 1, 5] = -y, x
-    basis = np.linalg.qr(motions.reshape(-1, 6))[0]
-    rest = np.eye(len(basis)) - basis @ basis.T
-    return rest @ covariance @ rest
-
-
-def test_mean_and_deviation_are_those_of_the_dense_formula(fixed_scale):
-    covariance = dense_covariance()
-    select = (3 * SEEN[:, None] + np.arange(3)).ravel()
-    covariance *= 0.005**2 / np.diag(without_rigid(covariance[np.ix_(select, select)])).mean()
-    gain = covariance[:, select] @ np.linalg.inv(
-        covariance[np.ix_(select, select)] + SIGMA_M**2 * np.eye(len(select))
+def test_mean_and_deviation_are_those_of_the_dense_gaussian_process():
+    data = observed(noise=0.001)
+    seen = sum_up(OBSERVE, data, PRECISION, CPU)
+    variances = equal_variances(TANGENT, seen, 0.015) * torch.linspace(0.2, 2.0, LOADS.shape[1])
+    found = condition(TANGENT, seen, variances, updates=0)
+    prior = dense_covariance(variances.numpy())
+    observe = np.kron(OBSERVE.toarray(), np.eye(3))
+    gain = prior @ observe.T @ np.linalg.inv(observe @ prior @ observe.T + 1e-6 * np.eye(3 * len(SEEN)))
+    mean = (gain @ data.ravel()).reshape(-1, 3)
+    variance = np.diagonal(prior - gain @ observe @ prior).reshape(-1, 3).mean(axis=1)
+    np.testing.assert_allclose(mean_displacement(TANGENT, found).numpy(), mean, atol=2e-5)
+    np.testing.assert_allclose(
+        standard_deviation(TANGENT, found).numpy(), np.sqrt(variance), rtol=0.02, atol=1e-6
     )
-    mean = (gain @ observed().ravel()).reshape(-1, 3)
-    variance = np.diag(covariance - gain @ covariance[select]).reshape(-1, 3).mean(axis=1)
-    posterior = condition(PRIOR, OBSERVE, observed(), np.full(len(SEEN), SIGMA_M**-2), 0.005)
-    np.testing.assert_allclose(posterior.mean, mean, atol=0.02 * np.abs(mean).max())
-    np.testing.assert_allclose(standard_deviation(PRIOR, posterior), np.sqrt(variance), rtol=0.05, atol=2e-5)
 
 
-def test_few_modes_hold_nearly_all_of_the_prior():
-    few = build_prior(MESH, ATTACHED, AREAS, 0.35, modes=60)
-    assert few.modes.shape == (len(MESH.nodes), 3, 60)
-    assert 0.99 < few.kept < 1.0
-    assert PRIOR.kept == pytest.approx(1.0)
+def test_equal_variances_move_the_seen_nodes_as_far_as_expected():
+    seen = sum_up(OBSERVE, observed(), PRECISION, CPU)
+    prior = dense_covariance(equal_variances(TANGENT, seen, 0.02).numpy())
+    by_node = np.diagonal(prior).reshape(-1, 3)[SEEN]
+    assert np.sqrt(by_node.mean()) == pytest.approx(0.02, rel=1e-3)
 
 
-def test_prior_variance_averages_to_one_over_the_volume():
-    weight = np.bincount(MESH.tets.ravel(), weights=np.repeat(MESH.volumes / 4.0, 4))
-    variance = (PRIOR.modes**2).sum(axis=2).mean(axis=1)
-    assert weight @ variance / weight.sum() == pytest.approx(1.0, rel=1e-6)
+def test_more_points_are_summed_up_exactly():
+    data = observed(noise=0.002)
+    twice = csr_array(np.concatenate([OBSERVE.toarray()] * 2))
+    one = sum_up(OBSERVE, data, PRECISION, CPU)
+    two = sum_up(twice, np.concatenate([data, data]), np.concatenate([PRECISION, PRECISION]) / 2.0, CPU)
+    for first, second in zip(
+        (one.nodes, one.normal, one.right), (two.nodes, two.normal, two.right), strict=True
+    ):
+        np.testing.assert_allclose(second.numpy(), first.numpy(), rtol=1e-12)
 
 
-def test_modes_respect_the_attachment():
-    variance = (PRIOR.modes**2).sum(axis=2).mean(axis=1)
-    assert variance[HELD].max() < 0.02 * variance[FAR].min()
-
-
-def test_lift_of_a_translation_carries_the_whole_organ():
-    shift = np.array([0.01, -0.02, 0.03])
-    lifted = PRIOR.lifted(np.zeros((3, 3)), shift)
-    np.testing.assert_allclose(lifted, np.tile(shift, (len(MESH.nodes), 1)), rtol=0.01)
-
-
-def test_lift_of_an_infinitesimal_rotation_turns_the_whole_organ():
-    spin = 1e-3 * np.array([[0.0, -3.0, 2.0], [3.0, 0.0, -1.0], [-2.0, 1.0, 0.0]])
-    lifted = PRIOR.lifted(spin, np.zeros(3))
-    np.testing.assert_allclose(lifted, (MESH.nodes - PRIOR.centre) @ spin.T, atol=2e-6)
-
-
-def test_deviation_is_small_where_seen_and_large_where_not():
-    sigma = standard_deviation(
-        PRIOR, condition(PRIOR, OBSERVE, observed(), np.full(len(SEEN), SIGMA_M**-2), 0.015)
+def test_one_pushed_patch_is_found_among_all():
+    """Relevance finds the load, and the far side with it, better than equal variances do."""
+    patch = int(
+        np.argmin(np.linalg.norm(MESH.nodes[LOADS.argmax(axis=0)] - [0.09, 0.025, 0.03], axis=1)[:-1])
     )
-    assert sigma[SEEN].max() < SIGMA_M
-    assert sigma[FAR].mean() > 1.8 * sigma[SEEN].mean()
-    assert sigma[HELD].max() < SIGMA_M
-
-
-def test_noisier_data_are_believed_less(fixed_scale):
-    nothing_but_noise = observed(noise=0.003) - observed()
-    believed, deviation = [], []
-    for sigma in (0.0005, 0.01, 0.5):
-        posterior = condition(PRIOR, OBSERVE, nothing_but_noise, np.full(len(SEEN), sigma**-2.0), 0.003)
-        believed.append(np.linalg.norm(posterior.mean, axis=1).mean())
-        deviation.append(standard_deviation(PRIOR, posterior).mean())
-    assert deviation[0] < deviation[1] < deviation[2]
-    assert believed[0] > believed[1] > 3.0 * believed[2]
-
-
-def test_scale_follows_the_data():
-    """Ten times the displacement, ten times the deviation where nothing is seen: s is estimated."""
-    precision = np.full(len(SEEN), (1e-5) ** -2.0)
-    small, large = (
-        standard_deviation(PRIOR, condition(PRIOR, OBSERVE, factor * observed(), precision, 0.001))[
-            FAR
-        ].mean()
-        for factor in (0.3, 3.0)
-    )
-    assert large > 3.0 * small
-
-
-def test_free_organ_has_a_prior_too():
-    free = build_prior(MESH, csr_array((0, len(MESH.nodes))), np.empty(0), 0.35, modes=100)
-    variance = (free.modes**2).sum(axis=2).mean(axis=1)
-    assert np.isfinite(free.modes).all()
-    assert variance.max() < 10.0 * variance.min()
-    np.testing.assert_array_equal(free.lift, 0.0)
+    force = np.zeros((LOADS.shape[1], 3))
+    force[patch] = [0.0, 0.3, -1.0]
+    matrix = stiffness(MESH, 0.35).toarray() + np.kron(SPRINGS, np.eye(3))
+    truth = np.linalg.solve(matrix, (LOADS @ force).ravel()).reshape(-1, 3)
+    truth *= 0.02 / np.abs(truth).max()
+    part = SEEN[MESH.nodes[SEEN, 0] < 0.05]  # the pushed end itself is not seen
+    rows = csr_array((np.ones(len(part)), (np.arange(len(part)), part)), shape=(len(part), len(MESH.nodes)))
+    seen = sum_up(rows, truth[part], np.full(len(part), 0.0005**-2), CPU)
+    start = equal_variances(TANGENT, seen, 0.015)
+    errors = [
+        np.linalg.norm(
+            mean_displacement(TANGENT, condition(TANGENT, seen, start, updates)).numpy() - truth, axis=1
+        ).mean()
+        for updates in (0, 15)
+    ]
+    found = condition(TANGENT, seen, start, 15).variances.numpy()
+    strongest = MESH.nodes[LOADS.argmax(axis=0)][np.argsort(found)[-1]]
+    assert np.linalg.norm(strongest - MESH.nodes[LOADS[:, patch].argmax()]) < 0.02
+    assert errors[1] < 0.5 * errors[0]

@@ -1,0 +1,106 @@
+"""What an organ needs computed once for the elastic posterior: tetrahedra, springs that hold it, possible loads."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.sparse import coo_array, csr_array
+
+from softtissue_estimator.cache import Arrays, cached_arrays
+from softtissue_estimator.elasticity import nodal_volumes
+from softtissue_estimator.estimator import Progress
+from softtissue_estimator.hyperelastic import HyperelasticBody
+from softtissue_estimator.loads import load_basis
+from softtissue_estimator.mesh import FloatArray, IntArray, vertex_areas
+from softtissue_estimator.organ import Organ
+from softtissue_estimator.surface_lookup import SurfaceLookup
+from softtissue_estimator.volume_mesh import VolumeMesh, tetrahedralise
+
+SPRING_LENGTH_M = 0.002  # the springs are as stiff as the organ itself at this thickness
+_VERSION = 3  # of what is cached
+_GROUND_SHARE_HELD = 1e-5
+_GROUND_SHARE_FREE = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticModel:
+    """An organ as the elastic estimator sees it.
+
+    Parameters
+    ----------
+    organ : Organ
+    lookup : SurfaceLookup
+    mesh : VolumeMesh
+    body : HyperelasticBody
+    sample_tet : (s,) int64
+        Tetrahedron of every sample of the lookup.
+    query : (q, n) sparse
+        Interpolation from the nodes to `organ.query_points`.
+    device : torch.device
+        Where the body is.
+    """
+
+    organ: Organ
+    lookup: SurfaceLookup
+    mesh: VolumeMesh
+    body: HyperelasticBody
+    sample_tet: IntArray
+    query: csr_array
+    device: torch.device
+
+    def surface_interpolation(self, points: FloatArray) -> csr_array:
+        """Interpolate from the nodes to points (k, 3) m near the surface, (k, n); one table access a point."""
+        return _interpolation(self.mesh, points, self.sample_tet[self.lookup.nearest_sample(points)])
+
+
+def build_model(organ: Organ, poisson_ratio: float, device: torch.device, progress: Progress) -> ElasticModel:
+    """Prepare an organ: seconds the first time, afterwards the tetrahedra come from the cache.
+
+    Raises
+    ------
+    MeshError
+        If the organ cannot be filled with tetrahedra.
+    """
+    if not organ.attached.any():
+        progress(
+            "the organ is attached nowhere: it follows the rigid motion of what is seen, and bends freely"
+        )
+    # By the surface and the query points alone: another attached region keeps the mesh.
+    stored = cached_arrays("tetrahedra", organ.geometry_digest, _VERSION, {}, lambda: _fill(organ, progress))
+    mesh = VolumeMesh(stored["nodes"], stored["tets"])
+    body = HyperelasticBody(mesh, poisson_ratio, springs(organ, mesh), load_basis(mesh), device)
+    query = _interpolation(mesh, organ.query_points, stored["query_tet"])
+    return ElasticModel(organ, organ.surface_lookup, mesh, body, stored["sample_tet"], query, device)
+
+
+def springs(organ: Organ, mesh: VolumeMesh) -> FloatArray:
+    """Stiffness of the springs that hold an organ, over Young's modulus, (n, n) 1/m.
+
+    Attached surface is held by stiff springs, which sees an attached region finer than the coarse mesh does and needs
+    no node exactly on its edge. Weak springs between the organ and its surroundings keep rigid motions finite. Where
+    nothing is attached they are all that holds; an organ then follows the rigid motion of what is seen.
+    """
+    attached = mesh.interpolation(organ.surface.vertices[organ.attached])
+    areas = vertex_areas(organ.surface)[organ.attached]
+    held = (attached.T @ attached.multiply(areas[:, None] / SPRING_LENGTH_M)).toarray()
+    ground = _GROUND_SHARE_HELD if organ.attached.any() else _GROUND_SHARE_FREE
+    # Per volume, Young's modulus over the square of the organ's size is the stiffness of the organ itself.
+    held[np.diag_indices(len(held))] += nodal_volumes(mesh) * (ground / mesh.volumes.sum() ** (2.0 / 3.0))
+    return np.asarray(held, dtype=np.float64)
+
+
+def _fill(organ: Organ, progress: Progress) -> Arrays:
+    mesh = tetrahedralise(organ.surface, progress)
+    progress(f"finding where the organ's points lie in {len(mesh.tets)} tetrahedra")
+    return {
+        "nodes": mesh.nodes,
+        "tets": mesh.tets,
+        "sample_tet": mesh.locate(organ.surface_lookup.samples),
+        "query_tet": mesh.locate(organ.query_points),
+    }
+
+
+def _interpolation(mesh: VolumeMesh, points: FloatArray, tet: IntArray) -> csr_array:
+    rows = np.repeat(np.arange(len(points)), 4)
+    entries = (mesh.weights(points, tet).ravel(), (rows, mesh.tets[tet].ravel()))
+    return csr_array(coo_array(entries, shape=(len(points), len(mesh.nodes))))

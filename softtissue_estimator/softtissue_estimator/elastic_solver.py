@@ -1,0 +1,132 @@
+"""From patches of surface to the elastic posterior: Gauss-Newton steps, each with its own relevance of the loads."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.sparse import csr_array
+from torch import Tensor
+
+from softtissue_estimator.elastic_model import ElasticModel
+from softtissue_estimator.elastic_posterior import (
+    condition,
+    equal_variances,
+    mean_displacement,
+    standard_deviation,
+    sum_up,
+)
+from softtissue_estimator.hyperelastic import Tangent, to_tensor
+from softtissue_estimator.mesh import FloatArray
+from softtissue_estimator.patch_average import SeenPatches, student_weights
+from softtissue_estimator.relevance import Amplitudes
+from softtissue_estimator.rigid import RigidMotion
+
+STEPS = 3  # a further one changes the error by a few per cent
+UPDATES = 5  # of the variances, a step
+FIRST_MODEL_SIGMA_M = 0.002
+MOST_MODEL_SIGMA_M = 0.003
+# Neighbouring patches share the error of the model: what is left of each is this much less information than it seems.
+MODEL_SIGMA_OVER_MISFIT = 5.0
+# What the loads' posterior cannot know: elements and material are wrong by this share of what the organ bends.
+MODEL_ERROR_SHARE = 0.025
+LEAST_DEVIATION_M = 5e-5
+_CLEAR_OUTLIER = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """What is known after an observation.
+
+    Parameters
+    ----------
+    tangent : Tangent
+        The organ, linear about the last state but one.
+    amplitudes : Amplitudes
+        Of the loads.
+    mean : (n, 3) float64 m
+        Nodal displacement.
+    model_sigma_m : float
+        Error of the elastic model that the observation shows.
+    """
+
+    tangent: Tangent
+    amplitudes: Amplitudes
+    mean: Tensor
+    model_sigma_m: float
+
+
+class Solver:
+    """Explains one observation of an organ.
+
+    Parameters
+    ----------
+    model : ElasticModel
+    seen : SeenPatches
+    motion : RigidMotion
+        Best rigid motion of the patches, about which the organ is linear at first.
+    prior_sigma_m, model_sigma_m : float
+        As in `EstimatorConfig`.
+    """
+
+    def __init__(
+        self,
+        model: ElasticModel,
+        seen: SeenPatches,
+        motion: RigidMotion,
+        prior_sigma_m: float,
+        model_sigma_m: float,
+    ) -> None:
+        self._model, self._seen = model, seen
+        self._prior_sigma_m, self._least_sigma_m = prior_sigma_m, model_sigma_m
+        self._interpolation: csr_array = model.surface_interpolation(seen.reference)
+        nodes = model.mesh.nodes
+        self._moved = to_tensor(motion.apply(nodes) - nodes, model.device)
+        # Nothing but its surroundings holds an organ that is attached nowhere, and those move with it.
+        self._rest = torch.zeros_like(self._moved) if model.organ.attached.any() else self._moved
+
+    def solve(self) -> Belief:
+        """Explain the observation without knowing anything from before."""
+        body = self._model.body
+        weight = np.ones(len(self._seen.precision))
+        belief = self._explain(body.linearise(self._moved, self._rest), None, FIRST_MODEL_SIGMA_M, weight)
+        # The first step is large, and what it crushes comes back in the next.
+        state = belief.mean
+        for _ in range(STEPS - 1):
+            residual = self._residual(belief.mean)
+            weight = self._weights(residual, belief.model_sigma_m)
+            sigma = self._model_sigma(residual, weight)
+            tangent = body.linearise(state, self._rest)
+            belief = self._explain(tangent, belief.amplitudes.variances, sigma, weight)
+            state = body.guarded(state, belief.mean)
+        return belief
+
+    def deviation(self, belief: Belief) -> FloatArray:
+        """Return the standard deviation of each component at the nodes, (n,) m."""
+        posterior = standard_deviation(belief.tangent, belief.amplitudes)
+        bent = torch.linalg.vector_norm(belief.mean - self._moved, dim=1)
+        variance = posterior.square() + (MODEL_ERROR_SHARE * bent).square() + LEAST_DEVIATION_M**2
+        return np.asarray(variance.sqrt().cpu().numpy(), dtype=np.float64)
+
+    def _explain(
+        self, tangent: Tangent, variances: Tensor | None, sigma: float, weight: FloatArray
+    ) -> Belief:
+        precision = weight * self._seen.precision_with(sigma)
+        seen = sum_up(self._interpolation, self._seen.displacement, precision, self._model.device)
+        if variances is None:
+            variances = equal_variances(tangent, seen, self._prior_sigma_m)
+        amplitudes = condition(tangent, seen, variances, UPDATES)
+        return Belief(tangent, amplitudes, mean_displacement(tangent, amplitudes), sigma)
+
+    def _residual(self, mean: Tensor) -> FloatArray:
+        return np.asarray(self._seen.displacement - self._interpolation @ mean.cpu().numpy())
+
+    def _weights(self, residual: FloatArray, sigma: float) -> FloatArray:
+        weight = student_weights(residual, self._seen.precision_with(sigma))
+        return weight if weight.min() < _CLEAR_OUTLIER else np.ones_like(weight)
+
+    def _model_sigma(self, residual: FloatArray, weight: FloatArray) -> float:
+        """Error of the model from what the observation's own noise does not explain of the residual, m."""
+        squared = np.einsum("cd,cd->c", residual, residual) / 3.0
+        unexplained = float(np.average(squared - 1.0 / self._seen.precision, weights=weight))
+        misfit = np.sqrt(max(unexplained, 0.0))
+        return float(np.clip(MODEL_SIGMA_OVER_MISFIT * misfit, self._least_sigma_m, MOST_MODEL_SIGMA_M))

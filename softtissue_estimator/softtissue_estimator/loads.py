@@ -1,0 +1,39 @@
+"""What may push an organ: smooth patches all over its surface, and a uniform force on all of it."""
+
+import numpy as np
+
+from softtissue_estimator.elasticity import nodal_areas, nodal_volumes
+from softtissue_estimator.mesh import FloatArray
+from softtissue_estimator.volume_mesh import VolumeMesh
+
+PATCH_SPACING_M = 0.012
+PATCH_WIDTH = 11.0 / 12.0  # standard deviation over spacing
+MOST_PATCHES = 240
+
+
+def load_basis(mesh: VolumeMesh) -> FloatArray:
+    """Nodal forces of unit loads, (n, p); each column sums to one.
+
+    Gaussian patches about points of the surface that are spread evenly, at most `MOST_PATCHES`, and last the weight of
+    the organ.
+    """
+    areas = nodal_areas(mesh)
+    surface = np.flatnonzero(areas > 0.0)
+    points = mesh.nodes[surface]
+    centres, spacing = _spread(points)
+    squared = ((points[:, None] - points[centres]) ** 2).sum(axis=2)
+    patches = np.zeros((len(mesh.nodes), len(centres)))
+    patches[surface] = np.exp(-squared / (2.0 * (PATCH_WIDTH * spacing) ** 2)) * areas[surface, None]
+    volumes = nodal_volumes(mesh)
+    return np.column_stack([patches / patches.sum(axis=0), volumes / volumes.sum()])
+
+
+def _spread(points: FloatArray) -> tuple[list[int], float]:
+    """Choose points (n, 3) m, each as far as possible from those before; and how far apart they are at least, m."""
+    distance = ((points - points.mean(axis=0)) ** 2).sum(axis=1)
+    chosen = [int(distance.argmax())]
+    nearest = ((points - points[chosen[0]]) ** 2).sum(axis=1)
+    while nearest.max() >= PATCH_SPACING_M**2 and len(chosen) < MOST_PATCHES:
+        chosen.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
+    return chosen, max(PATCH_SPACING_M, float(np.sqrt(nearest.max())))

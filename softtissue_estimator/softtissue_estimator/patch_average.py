@@ -1,0 +1,85 @@
+"""Tracked points averaged over small patches of surface, gross outliers weighted down."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.mesh import FloatArray, IntArray, sum_by_index
+from softtissue_estimator.observation import Observation
+from softtissue_estimator.surface_lookup import SurfaceLookup
+
+_SMALLEST_SIGMA_M = 1e-5
+_OUTLIER_FACTOR = 6.0
+_STUDENT_FREEDOM = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPatches:
+    """Observations of one small patch of surface each, averaged.
+
+    Parameters
+    ----------
+    reference, displacement : (c, 3) m
+    precision : (c,) 1/m^2
+        Inverse variance of each component of the average.
+    """
+
+    reference: FloatArray
+    displacement: FloatArray
+    precision: FloatArray
+
+    def precision_with(self, model_sigma_m: float) -> FloatArray:
+        """Inverse variance (c,) 1/m^2 where all points of a patch share an error of the model."""
+        return np.asarray(1.0 / (1.0 / self.precision + model_sigma_m**2))
+
+
+def average_patches(observation: Observation, lookup: SurfaceLookup) -> SeenPatches:
+    """Average the points of each patch of about 5 mm.
+
+    Raises
+    ------
+    InvalidInputError
+        If a point is out of the surface's reach.
+    """
+    sample = lookup.nearest_sample(observation.reference)
+    if (sample < 0).any():
+        raise InvalidInputError(
+            f"observation: expected reference points near the preoperative surface, got {int((sample < 0).sum())} "
+            f"of {len(sample)} out of reach"
+        )
+    patch = lookup.patch[sample]
+    weight = np.maximum(observation.sigma, _SMALLEST_SIGMA_M) ** -2.0
+    count = len(lookup.patch_areas)
+    values = np.concatenate([observation.reference, observation.displacement], axis=1)
+    total, means = _weighted_means(patch, weight, values, count)
+    # The scatter within patches tells gross outliers from noise.
+    deviation = np.linalg.norm(observation.displacement - means[patch, 3:], axis=1) * np.sqrt(weight)
+    limit = _OUTLIER_FACTOR * max(1.0, float(np.median(deviation)))
+    for _ in range(2):
+        if deviation.max() <= limit:
+            break
+        robust = weight / (1.0 + (deviation / limit) ** 4)
+        total, means = _weighted_means(patch, robust, values, count)
+        deviation = np.linalg.norm(observation.displacement - means[patch, 3:], axis=1) * np.sqrt(weight)
+    seen = total > 0.0
+    return SeenPatches(means[seen, :3], means[seen, 3:], total[seen])
+
+
+def student_weights(residual: FloatArray, precision: FloatArray) -> FloatArray:
+    """Weights of a Student distribution for residuals (c, 3) m, (c,), one where the residual is as expected.
+
+    The scale is that of the median residual, if that is larger than expected.
+    """
+    squared = np.einsum("cd,cd->c", residual, residual) * precision / 3.0
+    scale = max(1.0, float(np.median(squared)))
+    return np.asarray((_STUDENT_FREEDOM + 3.0) / (_STUDENT_FREEDOM + 3.0 * squared / scale)).clip(max=1.0)
+
+
+def _weighted_means(
+    group: IntArray, weight: FloatArray, values: FloatArray, count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Sum of the weights and weighted mean of the values (n, k) of every group, (count,) and (count, k)."""
+    total = sum_by_index(group, weight, count)
+    sums = np.column_stack([sum_by_index(group, weight * column, count) for column in values.T])
+    return total, sums / np.maximum(total, 1e-300)[:, None]

@@ -1,0 +1,75 @@
+"""Which few of many possible loads explain what is seen: automatic relevance determination of a linear model.
+
+Amplitudes a of groups of three (the components of one load) have the prior N(0, v_g I_3), one variance v_g a group, and
+are seen through a linear model with Gaussian noise. Maximising the evidence over the variances drives most of them to
+zero (MacKay 1992; Tipping 2001): loads in surgery are few and local.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+_LEAST_UNDETERMINED = 1e-6
+_LEAST_SHARE = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Amplitudes:
+    """Posterior of the loads' amplitudes.
+
+    Parameters
+    ----------
+    mean : (3 p,) float64
+    variances : (p,) float64
+        v of each group.
+    factor : (3 p, 3 p) float64
+        Lower Cholesky factor L of I + D G D, D the roots of the variances: the covariance of a is D (L L^T)^-1 D.
+    """
+
+    mean: Tensor
+    variances: Tensor
+    factor: Tensor
+
+    @property
+    def root(self) -> Tensor:
+        """D: prior standard deviation of every amplitude, (3 p,)."""
+        return self.variances.sqrt().repeat_interleave(3)
+
+
+def determine_relevance(gram: Tensor, right: Tensor, variances: Tensor, updates: int) -> Amplitudes:
+    """Re-estimate the variances and return the amplitudes' posterior.
+
+    An update is the geometric mean of the variance and MacKay's fixed point |a|^2 / 3 (1 - S / v), S the posterior
+    variance: much faster than expectation maximisation, and without the jumps of the fixed point alone.
+
+    Parameters
+    ----------
+    gram : (3 p, 3 p) float64
+        J^T S^-1 J of the linear model J and the noise' covariance S.
+    right : (3 p,) float64
+        J^T S^-1 y.
+    variances : (p,) float64
+        To start from, above zero.
+    updates : int
+        How often to re-estimate; 0 gives the posterior for the given variances.
+    """
+    for _ in range(updates):
+        factor, mean = _posterior(gram, right, variances)
+        identity = torch.eye(len(right), dtype=gram.dtype, device=gram.device)
+        inverse = torch.linalg.solve_triangular(factor, identity, upper=False)
+        remaining = inverse.square().sum(dim=0).view(-1, 3).mean(dim=1)  # posterior over prior variance
+        power = mean.square().view(-1, 3).mean(dim=1)
+        fixed_point = power / (1.0 - remaining).clamp_min(_LEAST_UNDETERMINED)
+        variances = (variances * fixed_point.clamp_min(_LEAST_SHARE * float(variances.max()))).sqrt()
+    factor, mean = _posterior(gram, right, variances)
+    return Amplitudes(mean, variances, factor)
+
+
+def _posterior(gram: Tensor, right: Tensor, variances: Tensor) -> tuple[Tensor, Tensor]:
+    root = variances.sqrt().repeat_interleave(3)
+    precision = root[:, None] * gram * root
+    precision.diagonal().add_(1.0)
+    factor = torch.linalg.cholesky(precision)
+    mean = root * torch.cholesky_solve((root * right)[:, None], factor)[:, 0]
+    return factor, mean
