@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -197,3 +198,15 @@ def test_attached_region_is_told_wrongly_in_either_direction(samples):
     assert 0.25 < np.mean(ratio == 1.0) < 0.75
     assert ratio[ratio < 1.0].mean() == pytest.approx(0.7, abs=0.15)
     assert ratio[ratio > 1.0].mean() == pytest.approx(1.3, abs=0.15)
+
+
+def test_hash_of_the_estimator_follows_what_its_answers_depend_on(tmp_path, monkeypatch):
+    copy = tmp_path / "core"
+    shutil.copytree(Path(posteriors.softtissue_estimator.__file__).parent, copy)
+    before = posteriors.elastic_code_hash()
+    monkeypatch.setattr(posteriors.softtissue_estimator, "__file__", str(copy / "__init__.py"))
+    assert posteriors.elastic_code_hash() == before
+    for name, changes in (("config", False), ("paper_estimator", False), ("volume_mesh", True)):
+        path = copy / f"{name}.py"
+        path.write_text(path.read_text() + "# changed\n")
+        assert (posteriors.elastic_code_hash() != before) == changes, name

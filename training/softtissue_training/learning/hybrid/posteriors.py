@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import os
@@ -43,15 +44,9 @@ if TYPE_CHECKING:
 SETTINGS = "posterior.json"
 MESH_CACHE = "tetrahedra-"  # how the estimator's cache names coarse meshes
 _VERSION = 1
-# What an estimate depends on; parameters of the node and of networks are not among it.
-_SOURCES = (
-    "elastic*.py",
-    "volume_mesh.py",
-    "rigid.py",
-    "surface_lookup.py",
-    "observation.py",
-    "mesh.py",
-    "hybrid_posterior.py",
+# Imported by the estimator without changing what it answers.
+_WITHOUT_INFLUENCE = frozenset(
+    {"cache", "config", "device", "errors", "estimator", "mesh_io", "organ", "organ_file", "stopwatch"}
 )
 _Result = tuple[str, bytes, list[str], int]
 
@@ -104,13 +99,26 @@ def posterior_settings(recipe: ViewRecipe, spec: HybridSpec) -> dict[str, Any]:
 
 
 def elastic_code_hash() -> str:
-    """Return a hash of the sources that decide what the elastic estimator answers."""
+    """Return a hash of the sources that decide what the elastic estimator answers, and how it is read."""
     folder = Path(softtissue_estimator.__file__).parent
+    waiting, found = ["elastic_estimator", "hybrid_posterior"], set[str]()
+    while waiting:
+        module = waiting.pop()
+        if module not in found | _WITHOUT_INFLUENCE:
+            found.add(module)
+            waiting += _imported(folder / f"{module}.py")
     content = hashlib.sha256()
-    for pattern in _SOURCES:
-        for path in sorted(folder.glob(pattern)):
-            content.update(path.name.encode() + path.read_bytes())
+    for module in sorted(found):
+        content.update(module.encode() + (folder / f"{module}.py").read_bytes())
     return content.hexdigest()[:16]
+
+
+def _imported(source: Path) -> list[str]:
+    """Names of the estimator's modules that a module imports."""
+    nodes = ast.walk(ast.parse(source.read_text(encoding="utf-8")))
+    modules = [node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module]
+    package = softtissue_estimator.__name__ + "."
+    return [module.removeprefix(package) for module in modules if module.startswith(package)]
 
 
 def make_posteriors(
