@@ -165,3 +165,14 @@ def test_channels_of_another_version_are_refused(tmp_path, network):
     save_hybrid_checkpoint(path, network, HybridSpec(input_scales=(1.0,), architecture=SPEC.architecture), {})
     with pytest.raises(CheckpointError, match="names 10 channels and 1 scales"):
         load_hybrid_checkpoint(path)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+def test_the_gpu_gives_the_same_answer(tmp_path, network, observation):
+    path = tmp_path / "moved.safetensors"
+    on_cpu = estimator_of(path, with_output(network, [0.3, -0.2, 0.1, 0.2]))
+    on_gpu = create_estimator(EstimatorConfig(estimator="hybrid", checkpoint=str(path), device="cuda"))
+    on_gpu.load_organ(ORGAN)
+    expected, found = on_cpu.estimate(observation), on_gpu.estimate(observation)
+    np.testing.assert_allclose(found.displacement, expected.displacement, atol=2e-5)
+    np.testing.assert_allclose(found.sigma, expected.sigma, rtol=1e-2)

@@ -14,9 +14,9 @@ def add(commands: Commands) -> None:
         "posterior",
         help="run the elastic estimator over simulations, for the hybrid network to learn from",
         description="Show simulations to the elastic estimator, each in several random views, and keep what it "
-        "answers: what the hybrid network learns from. About 3 s an organ and core. The same command again adds what "
-        "is missing, so that nothing is lost when it is stopped or killed. When the elastic estimator's code has "
-        "changed, a new folder is asked for.",
+        "answers: what the hybrid network learns from. About 4 s an organ and core with 4 views. The same command "
+        "again adds what is missing, so that nothing is lost when it is stopped or killed. When the elastic "
+        "estimator's code has changed, a new folder is asked for.",
         epilog="Then:  softtissue-train train --config hybrid --data DIR --out run --time-limit 40",
     )
     posterior.add_argument(
@@ -37,7 +37,7 @@ def add(commands: Commands) -> None:
         "--meshes",
         type=Path,
         metavar="DIR",
-        help="keep the organs' coarse meshes, half of the work, in this folder, and use those that are there",
+        help="keep the organs' coarse meshes in this folder, and use those that are there",
     )
     posterior.add_argument("--count", type=positive, metavar="N", help="organs (default: all)")
     posterior.add_argument(

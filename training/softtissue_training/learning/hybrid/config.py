@@ -48,7 +48,7 @@ class HybridConfig:
     name: str = "hybrid"
     spec: HybridSpec = field(default_factory=HybridSpec)
     batch_size: int = 4
-    learning_rate: float = 1e-3
+    learning_rate: float = 2e-3
     warmup_steps: int = 100
     ema_decay: float = 0.998
     orientations: int = 48

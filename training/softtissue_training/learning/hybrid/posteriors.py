@@ -147,7 +147,7 @@ def make_posteriors(
     skip, count
         Leave out so many first records, and use at most so many.
     meshes
-        Folder in which the organs' coarse meshes are kept and looked for, half of the work; all processes must reach
+        Folder in which the organs' coarse meshes are kept and looked for, to save time; all processes must reach
         it.
     client
         Dask client; without one, this process computes.
