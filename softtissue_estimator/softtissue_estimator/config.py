@@ -83,7 +83,7 @@ class EstimatorConfig:
         limits=(0.0005, 0.1),
     )
     model_sigma_m: float = _setting(
-        0.0004,
+        0.0003,
         "Least error of the elastic model itself, which points of one small neighbourhood share; used by 'elastic'.",
         unit="m",
         limits=(1e-5, 0.01),
