@@ -1,5 +1,8 @@
 """What the benchmark simulates: given organs, one load with several materials, seeds that nothing else uses."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import trimesh
@@ -11,6 +14,7 @@ from softtissue_training.evaluation.benchmark.plan import NamedSurface, make_pla
 from softtissue_training.organs.tetrahedralise import tetrahedralise
 from softtissue_training.physics.material import Material
 from softtissue_training.physics.solver import solve
+from softtissue_training.simulation import cluster
 from softtissue_training.simulation.archive import list_records, read_records
 from softtissue_training.simulation.generate import generate
 from softtissue_training.simulation.record_format import parse_record
@@ -97,6 +101,15 @@ def test_generate_refuses_the_seeds_of_the_benchmark(tmp_path, capsys):
     assert "--seed must be below 1000000" in said and "got 1000000" in said
     assert said.count("\n") == 1
     assert not (tmp_path / "sims").exists()
+
+
+def test_workers_leave_ctrl_c_to_the_process_that_started_them():
+    """A terminal sends it to all of them; the workers would die with a traceback each."""
+    show = [sys.executable, "-c", "import signal; print(signal.getsignal(signal.SIGINT) is signal.SIG_IGN)"]
+    with cluster._no_interrupt_for_children():
+        inside = subprocess.run(show, capture_output=True, text=True, check=True).stdout
+    after = subprocess.run(show, capture_output=True, text=True, check=True).stdout
+    assert (inside.strip(), after.strip()) == ("True", "False")
 
 
 def test_the_benchmark_uses_reserved_seeds_alone(tmp_path):

@@ -129,6 +129,7 @@ def _run(
 def _run_in_processes(
     jobs: list[Job], methods: list[MethodSpec], keys: list[str], folder: Path, workers: int
 ) -> Iterator[None]:
+    others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(
         min(workers, len(jobs)),
         # Spawned, not forked: Gmsh and MKL do not survive a fork.
@@ -140,6 +141,11 @@ def _run_in_processes(
         for done in as_completed([pool.submit(_work, job) for job in jobs]):
             done.result()
             yield
+    except KeyboardInterrupt:
+        # Answers appear complete or not at all, so that nothing is lost but what is being computed.
+        for worker in set(multiprocessing.active_children()) - others:
+            worker.terminate()
+        raise
     except BrokenProcessPool as error:
         raise EvaluationStoppedError(
             "a worker process ended abruptly, perhaps for lack of memory; the same command goes on from here"

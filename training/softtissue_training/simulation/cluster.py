@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from itertools import islice
 from typing import TypeVar
 
@@ -49,14 +51,33 @@ def connect(workers: int, scheduler: str | None = None) -> Iterator[Client]:
         return
     # Several threads in each process would fight over the cores; worker processes inherit this.
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    with (
-        # Spawned processes with one thread each: Gmsh and MKL can do neither forks nor threads.
-        LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=40
-        ) as cluster,
-        Client(cluster) as client,
-    ):
+    with ExitStack() as running:
+        with _no_interrupt_for_children():
+            # Spawned processes with one thread each: Gmsh and MKL can do neither forks nor threads.
+            cluster = running.enter_context(
+                LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address=":0",
+                    silence_logs=40,
+                )
+            )
+            client = running.enter_context(Client(cluster))
         yield client
+
+
+@contextmanager
+def _no_interrupt_for_children() -> Iterator[None]:
+    """Let processes that are started meanwhile ignore Ctrl-C, which goes to them too; this process ends them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def results_of(client: Client, work: Callable[[_Task], _Result], tasks: Iterable[_Task]) -> Iterator[_Result]:
