@@ -43,6 +43,11 @@ class EstimatorConfig:
         "auto", "Where the network runs; 'auto' takes a GPU if there is one.", choices=("auto", "cuda", "cpu")
     )
     autostart: bool = _setting(True, "Configure and activate the node without being asked.")
+    tracking: bool = _setting(
+        False,
+        "Start every answer from the one before and improve it between frames, as the node does by default; otherwise "
+        "every frame is answered on its own. Used by 'elastic' and 'hybrid'.",
+    )
     default_sigma_m: float = _setting(
         0.001,
         "Standard deviation of each component of a correspondence that states none.",

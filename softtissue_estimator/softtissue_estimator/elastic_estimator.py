@@ -8,6 +8,7 @@ from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.device import choose_device, device_stopwatch
 from softtissue_estimator.elastic_model import ElasticModel, build_model
 from softtissue_estimator.elastic_solver import Solver
+from softtissue_estimator.elastic_tracking import ElasticTracker
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimator import Estimate, Estimator, Progress, silent
 from softtissue_estimator.mesh import FloatArray
@@ -80,6 +81,7 @@ class ElasticEstimator(Estimator):
         self._device = choose_device(config.device)
         self.device = str(self._device)
         self._model: ElasticModel | None = None
+        self._tracker = ElasticTracker() if config.tracking else None
         # On a busy machine threads that wait for each other turn milliseconds into hundreds.
         self._threads = ThreadpoolController()
 
@@ -87,6 +89,17 @@ class ElasticEstimator(Estimator):
         """See `Estimator.load_organ`."""
         with self._threads.limit(limits=1, user_api="blas"):
             self._model = build_model(organ, self._config.poisson_ratio, self._device, progress)
+        self.forget()
+
+    def forget(self) -> None:
+        """See `Estimator.forget`."""
+        if self._tracker is not None:
+            self._tracker.forget()
+
+    def close(self) -> None:
+        """See `Estimator.close`."""
+        if self._tracker is not None:
+            self._tracker.close()
 
     @property
     def mesh(self) -> VolumeMesh:
@@ -118,7 +131,7 @@ class ElasticEstimator(Estimator):
         )
         watch.lap("rigid")
         solver = Solver(model, seen, motion, self._config.prior_sigma_m, least)
-        belief = solver.solve()
+        belief = solver.solve() if self._tracker is None else self._tracker.answer(solver)
         watch.lap("solve")
         sigma = solver.deviation(belief)
         watch.lap("uncertainty")

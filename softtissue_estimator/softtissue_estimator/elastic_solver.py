@@ -30,6 +30,10 @@ MODEL_SIGMA_OVER_MISFIT = 5.0
 # What the loads' posterior cannot know: elements and material are wrong by this share of what the organ bends.
 MODEL_ERROR_SHARE = 0.025
 LEAST_DEVIATION_M = 5e-5
+MOST_RELEVANT = 40
+"""Loads that a frame considers which follows another one."""
+LOST_M = 0.0015
+"""Where more than this is left unexplained, the organ has moved too far to be followed."""
 _CLEAR_OUTLIER = 0.25
 
 
@@ -53,6 +57,37 @@ class Belief:
     amplitudes: Amplitudes
     mean: Tensor
     model_sigma_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Guide:
+    """What an earlier observation of the same organ is good for in the next one.
+
+    Parameters
+    ----------
+    tangent : Tangent
+        With the response to the relevant loads alone.
+    variances : (k,) float64
+        Of these loads.
+    all_variances : (p,) float64
+        Of all loads.
+    model_sigma_m : float
+    """
+
+    tangent: Tangent
+    variances: Tensor
+    all_variances: Tensor
+    model_sigma_m: float
+
+
+def guide_of(belief: Belief) -> Guide:
+    """Keep of a belief about all loads what the next observation needs."""
+    variances = belief.amplitudes.variances
+    relevant = torch.topk(variances, min(MOST_RELEVANT, len(variances))).indices.sort().values
+    columns = (3 * relevant[:, None] + torch.arange(3, device=variances.device)).reshape(-1)
+    whole = belief.tangent
+    tangent = Tangent(whole.state, whole.offset, whole.response[:, columns].contiguous())
+    return Guide(tangent, variances[relevant], variances, belief.model_sigma_m)
 
 
 class Solver:
@@ -81,24 +116,56 @@ class Solver:
         self._interpolation: csr_array = model.surface_interpolation(seen.reference)
         nodes = model.mesh.nodes
         self._moved = to_tensor(motion.apply(nodes) - nodes, model.device)
+        self._rotation = to_tensor(motion.rotation, model.device)
         # Nothing but its surroundings holds an organ that is attached nowhere, and those move with it.
         self._rest = torch.zeros_like(self._moved) if model.organ.attached.any() else self._moved
 
     def solve(self) -> Belief:
         """Explain the observation without knowing anything from before."""
-        body = self._model.body
-        weight = np.ones(len(self._seen.precision))
-        belief = self._explain(body.linearise(self._moved, self._rest), None, FIRST_MODEL_SIGMA_M, weight)
-        # The first step is large, and what it crushes comes back in the next.
-        state = belief.mean
-        for _ in range(STEPS - 1):
-            residual = self._residual(belief.mean)
-            weight = self._weights(residual, belief.model_sigma_m)
-            sigma = self._model_sigma(residual, weight)
-            tangent = body.linearise(state, self._rest)
-            belief = self._explain(tangent, belief.amplitudes.variances, sigma, weight)
-            state = body.guarded(state, belief.mean)
+        belief = self.start()
+        for step in range(1, STEPS):
+            # The first step is large, and what it crushes comes back in the next.
+            belief = self.improve(belief, belief.amplitudes.variances, guarded=step > 1)
         return belief
+
+    def follow(self, guide: Guide) -> Belief | None:
+        """Explain the observation about the state of an earlier one, in a few milliseconds.
+
+        None where the organ has moved too far since for that.
+        """
+        weight = np.ones(len(self._seen.precision))
+        for _ in range(2):
+            belief = self._explain(guide.tangent, guide.variances, guide.model_sigma_m, weight, 1)
+            residual = self._residual(belief.mean)
+            weight = self._weights(residual, guide.model_sigma_m)
+            if weight.min() == 1.0:
+                break
+        return belief if self._misfit(residual, weight) < LOST_M else None
+
+    def start(self) -> Belief:
+        """Explain the observation with the organ linear about its rigid motion: the first step of `solve`."""
+        tangent = self._model.body.linearise_moved(self._rotation, self._moved, self._rest)
+        weight = np.ones(len(self._seen.precision))
+        return self._explain(tangent, None, FIRST_MODEL_SIGMA_M, weight, UPDATES)
+
+    def improve(self, belief: Belief, variances: Tensor, *, guarded: bool) -> Belief:
+        """Make one more step of `solve`.
+
+        Parameters
+        ----------
+        belief : Belief
+            From which to go on.
+        variances : (p,) float64
+            Of all loads.
+        guarded : bool
+            Whether to stop short of crushing elements.
+        """
+        residual = self._residual(belief.mean)
+        weight = self._weights(residual, belief.model_sigma_m)
+        sigma = self._model_sigma(self._misfit(residual, weight))
+        body = self._model.body
+        state = body.guarded(belief.tangent.state, belief.mean) if guarded else belief.mean
+        return self._explain(body.linearise(state, self._rest), variances, sigma, weight, UPDATES)
 
     def deviation(self, belief: Belief) -> FloatArray:
         """Return the standard deviation of each component at the nodes, (n,) m."""
@@ -108,13 +175,13 @@ class Solver:
         return np.asarray(variance.sqrt().cpu().numpy(), dtype=np.float64)
 
     def _explain(
-        self, tangent: Tangent, variances: Tensor | None, sigma: float, weight: FloatArray
+        self, tangent: Tangent, variances: Tensor | None, sigma: float, weight: FloatArray, updates: int
     ) -> Belief:
         precision = weight * self._seen.precision_with(sigma)
         seen = sum_up(self._interpolation, self._seen.displacement, precision, self._model.device)
         if variances is None:
             variances = equal_variances(tangent, seen, self._prior_sigma_m)
-        amplitudes = condition(tangent, seen, variances, UPDATES)
+        amplitudes = condition(tangent, seen, variances, updates)
         return Belief(tangent, amplitudes, mean_displacement(tangent, amplitudes), sigma)
 
     def _residual(self, mean: Tensor) -> FloatArray:
@@ -124,9 +191,12 @@ class Solver:
         weight = student_weights(residual, self._seen.precision_with(sigma))
         return weight if weight.min() < _CLEAR_OUTLIER else np.ones_like(weight)
 
-    def _model_sigma(self, residual: FloatArray, weight: FloatArray) -> float:
-        """Error of the model from what the observation's own noise does not explain of the residual, m."""
+    def _misfit(self, residual: FloatArray, weight: FloatArray) -> float:
+        """Root mean square of what the observation's own noise does not explain of the residual, m."""
         squared = np.einsum("cd,cd->c", residual, residual) / 3.0
         unexplained = float(np.average(squared - 1.0 / self._seen.precision, weights=weight))
-        misfit = np.sqrt(max(unexplained, 0.0))
+        return float(np.sqrt(max(unexplained, 0.0)))
+
+    def _model_sigma(self, misfit: float) -> float:
+        """Error of the model, m, where the observation leaves so much unexplained."""
         return float(np.clip(MODEL_SIGMA_OVER_MISFIT * misfit, self._least_sigma_m, MOST_MODEL_SIGMA_M))

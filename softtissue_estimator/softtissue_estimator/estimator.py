@@ -94,6 +94,12 @@ class Estimator(ABC):
             If no organ is loaded or the observation cannot be used.
         """
 
+    def forget(self) -> None:  # noqa: B027 (most estimators remember nothing)
+        """Forget earlier observations, where an estimator answers each about the one before."""
+
+    def close(self) -> None:  # noqa: B027
+        """End what runs in the background; nothing may be asked afterwards."""
+
 
 def _elastic(config: EstimatorConfig) -> Estimator:
     return _construct("elastic_estimator", "ElasticEstimator", config)

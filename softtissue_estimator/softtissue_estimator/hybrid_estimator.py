@@ -108,7 +108,16 @@ class HybridEstimator(Estimator):
         reader = make_reader(elastic, organ.surface_lookup, grid.points()[cells.numpy()])
         query = _positions(grid.index(organ.query_points), self._device)
         self._prepared = _Prepared(channels.to(self._device), cells.to(self._device), reader, query)
+        self._elastic.close()
         self._elastic = elastic
+
+    def forget(self) -> None:
+        """See `Estimator.forget`."""
+        self._elastic.forget()
+
+    def close(self) -> None:
+        """See `Estimator.close`."""
+        self._elastic.close()
 
     def estimate(self, observation: Observation) -> HybridEstimate:
         """See `Estimator.estimate`."""

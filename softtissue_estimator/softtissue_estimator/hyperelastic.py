@@ -9,6 +9,7 @@ iteration converges, in single.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -88,6 +89,36 @@ class HyperelasticBody:
         """F of every tetrahedron, (m, 3, 3), for nodal displacement (n, 3) m."""
         return torch.einsum("eia,eib->eab", (self._nodes + displacement)[self._tets], self._gradients)
 
+    @cached_property
+    def _at_rest(self) -> tuple[Tensor, Tensor]:
+        """Cholesky factor of the stiffness at rest, (3 n, 3 n), and the response to unit loads, (3 n, 3 p)."""
+        unmoved = torch.zeros_like(self._nodes)
+        _, spatial, coefficient = self._neo_hookean(self.deformation_gradient(unmoved))
+        factor = self._factor(spatial, coefficient)
+        if factor is None:
+            raise OrganError("elastic model: expected a stiffness that can be factorised, got a singular one")
+        return factor, torch.cholesky_solve(self._loads, factor)
+
+    def linearise_moved(self, rotation: Tensor, state: Tensor, rest: Tensor) -> Tangent:
+        """Make the organ linear about a rigid motion, without a factorisation; else like `linearise`.
+
+        The stiffness of a body that is turned is the turned stiffness. Loads are turned with it.
+
+        Parameters
+        ----------
+        rotation : (3, 3) float64
+        state : (n, 3) float64 m
+            Displacement by the motion.
+        rest : (n, 3) float64 m
+        """
+        factor, response = self._at_rest
+        force = (self._springs @ (state - rest)) @ rotation
+        step = torch.cholesky_solve(force.float().reshape(-1, 1), factor)
+        offset = state - step.double().reshape(-1, 3) @ rotation.T
+        by_node = response.view(self.count, 3, -1)
+        turned = torch.einsum("ab,nbk->nak", rotation.float(), by_node).reshape(response.shape)
+        return Tangent(state, offset, turned)
+
     def linearise(self, state: Tensor, rest: Tensor) -> Tangent:
         """Make the organ linear about a displacement.
 
@@ -105,12 +136,12 @@ class HyperelasticBody:
         gradient = self.deformation_gradient(state)
         stress, spatial, coefficient = self._neo_hookean(gradient)
         force = self._nodal_force(stress) + self._springs @ (state - rest)
-        factor, failed = torch.linalg.cholesky_ex(self._stiffness(spatial, coefficient))
-        if bool(failed):
+        factor = self._factor(spatial, coefficient)
+        if factor is None:
             # Compressed or overstretched so far that it would buckle; the corotated stiffness is always positive.
             _, spatial, coefficient = self._corotated(gradient)
-            factor, failed = torch.linalg.cholesky_ex(self._stiffness(spatial, coefficient))
-        if bool(failed):
+            factor = self._factor(spatial, coefficient)
+        if factor is None:
             raise OrganError("elastic model: expected a stiffness that can be factorised, got a singular one")
         right = torch.cat([force.reshape(-1, 1).float(), self._loads], dim=1)
         solved = torch.cholesky_solve(right, factor)
@@ -167,6 +198,10 @@ class HyperelasticBody:
         corner = torch.einsum("eab,eib->eia", stress * self._volumes[:, None, None], self._gradients)
         force = torch.zeros_like(self._nodes)
         return force.index_add_(0, self._tets.reshape(-1), corner.reshape(-1, 3))
+
+    def _factor(self, spatial: Tensor, coefficient: Tensor) -> Tensor | None:
+        factor, failed = torch.linalg.cholesky_ex(self._stiffness(spatial, coefficient))
+        return None if bool(failed) else factor
 
     def _stiffness(self, spatial: Tensor, coefficient: Tensor) -> Tensor:
         first = (spatial * self._volumes[:, None, None]).float()

@@ -21,13 +21,13 @@ from rclpy.parameter import Parameter
 from integration.harness import CAMERA_FROM_ORGAN, registration_message
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.latest_worker import LatestWorker
 from softtissue_estimator.ros import parameters, scoring, transport
 from softtissue_estimator.ros.counters import FrameCounters, LossCounter
 from softtissue_estimator.ros.pairing import StampMatcher
 from softtissue_estimator.ros.registration import Registration, tf_source, transform_points
 from softtissue_estimator.ros.throttle import Throttle
 from softtissue_estimator.ros.watchdog import silence
-from softtissue_estimator.ros.worker import LatestWorker
 
 PACKAGE = Path(__file__).parents[2] / "softtissue_estimator"
 

@@ -19,6 +19,7 @@ from visualization_msgs.msg import MarkerArray
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
+from softtissue_estimator.latest_worker import LatestWorker
 from softtissue_estimator.ros import parameters
 from softtissue_estimator.ros.counters import FrameCounters
 from softtissue_estimator.ros.engine import Engine, load_engine
@@ -30,7 +31,6 @@ from softtissue_estimator.ros.services import answer_warp, loaded
 from softtissue_estimator.ros.status import INVALID, diagnostics_message
 from softtissue_estimator.ros.throttle import Throttle
 from softtissue_estimator.ros.watchdog import silence
-from softtissue_estimator.ros.worker import LatestWorker
 
 NAME = "softtissue_estimator"
 LOG_PERIOD_S = 5.0

@@ -25,6 +25,9 @@ LIVE = frozenset(
     }
 )
 
+# A node answers a stream, a library one observation at a time.
+_NODE_DEFAULTS = {"tracking": True}
+
 
 def descriptor(field: "dataclasses.Field[Any]") -> ParameterDescriptor:
     """Describe one field of `EstimatorConfig` as ROS tools show it."""
@@ -55,7 +58,8 @@ def declare_parameters(node: Node) -> None:
     """
     for field in dataclasses.fields(EstimatorConfig):
         try:
-            node.declare_parameter(field.name, field.default, descriptor(field))
+            default = _NODE_DEFAULTS.get(field.name, field.default)
+            node.declare_parameter(field.name, default, descriptor(field))
         except (InvalidParameterTypeException, InvalidParameterValueException) as error:
             # rclpy's sentences say what was expected and what was given.
             raise InvalidInputError(f"parameter {field.name}: {error}") from None

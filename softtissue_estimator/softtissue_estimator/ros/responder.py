@@ -88,7 +88,9 @@ class Responder:
         """Change organ and estimator; frames in work for the old ones count as dropped."""
         with self._lock:
             self._forget()
-            self._engine = engine
+            before, self._engine = self._engine, engine
+        if before is not None and before is not engine:
+            before.estimator.close()
 
     def exchange(self, engine: Engine) -> bool:
         """Change the engine if there is one already; return whether it was changed."""
@@ -109,6 +111,7 @@ class Responder:
         self._answer = None
         self._report = Report(OK)
         if self._engine is not None:
+            self._engine.estimator.forget()
             self._outputs.markers.publish(delete_all(self._engine.organ.frame))
 
     def work(self, frame: Frame) -> None:

@@ -1,0 +1,92 @@
+"""Answer a stream of observations: each about the state of the one before, which a thread improves meanwhile."""
+
+import atexit
+import logging
+import threading
+from dataclasses import dataclass
+
+import torch
+
+from softtissue_estimator.elastic_solver import Belief, Guide, Solver, guide_of
+from softtissue_estimator.latest_worker import LatestWorker
+
+_log = logging.getLogger(__name__)
+_REVIVED_SHARE = 1e-3
+_STOP_TIMEOUT_S = 3.0  # several times what a step takes
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """An answered observation, to be explained better."""
+
+    solver: Solver
+    belief: Belief
+    variances: torch.Tensor
+    epoch: int
+    started: bool
+
+
+class ElasticTracker:
+    """Keeps what is known of an organ from frame to frame.
+
+    An answer takes milliseconds, because the organ is linear about its latest known state and few loads are relevant.
+    Between answers a thread makes the organ linear about the newest one, with all loads, and so catches up with a
+    moving organ in a fraction of a second. When the organ stands still the answer becomes that of `Solver.solve`.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._guide: Guide | None = None
+        self._epoch = 0
+        self._closed = False
+        self._worker: LatestWorker[_Task] | None = None
+
+    def answer(self, solver: Solver) -> Belief:
+        """Explain the newest observation."""
+        with self._lock:
+            guide, epoch = self._guide, self._epoch
+        belief = None if guide is None else solver.follow(guide)
+        started = belief is None or guide is None
+        if belief is None or guide is None:
+            belief = solver.start()
+            variances = belief.amplitudes.variances
+        else:
+            # Loads that have become irrelevant get a little back, so that a new one can be found.
+            variances = guide.all_variances.clamp_min(_REVIVED_SHARE * float(guide.all_variances.max()))
+        task = _Task(solver, belief, variances, epoch, started)
+        with self._lock:
+            if self._worker is None and not self._closed:
+                self._worker = LatestWorker(self._improve, self._on_crash)
+                # An interpreter that ends while torch works in a thread aborts.
+                atexit.register(self.close)
+            if self._worker is not None:
+                self._worker.put(task)
+        return belief
+
+    def forget(self) -> None:
+        """Forget all observations."""
+        with self._lock:
+            self._guide = None
+            self._epoch += 1
+
+    def close(self) -> None:
+        """Forget all observations and end the thread."""
+        self.forget()
+        with self._lock:
+            self._closed = True
+            worker, self._worker = self._worker, None
+        if worker is not None:
+            atexit.unregister(self.close)
+            worker.stop(_STOP_TIMEOUT_S)
+
+    def _improve(self, task: _Task) -> None:
+        better = guide_of(task.solver.improve(task.belief, task.variances, guarded=not task.started))
+        with self._lock:
+            if task.epoch == self._epoch:
+                self._guide = better
+
+    def _on_crash(self, error: BaseException) -> None:
+        _log.error("the elastic posterior was not improved between frames: %s", error)
+        with self._lock:
+            self._worker = None  # the next answer starts another one
+        self.forget()
