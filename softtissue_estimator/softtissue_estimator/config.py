@@ -35,7 +35,7 @@ class EstimatorConfig:
 
     estimator: str = _setting(
         "elastic",
-        "Which estimator answers: 'elastic' (elastic posterior), 'paper' (U-Net) or a registered one.",
+        "Which estimator answers: 'elastic', 'hybrid' (elastic and a network), 'paper' (U-Net) or a registered one.",
     )
     organ: str = _setting("", "Folder with organ.yaml; empty for the bundled phantom liver.")
     checkpoint: str = _setting("", "Network weights (safetensors); empty for the bundled ones.")

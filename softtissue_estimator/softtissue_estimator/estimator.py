@@ -114,7 +114,7 @@ def _hybrid(config: EstimatorConfig) -> Estimator:
 
 
 def _construct(module: str, name: str, config: EstimatorConfig) -> Estimator:
-    # Imported only when asked for: the elastic estimator must not wait for torch.
+    # Imported only when asked for: the elastic estimator must not wait for networks.
     factory: Factory = getattr(importlib.import_module(f"softtissue_estimator.{module}"), name)
     return factory(config)
 

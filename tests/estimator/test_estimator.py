@@ -29,11 +29,11 @@ def test_others_can_be_registered_once(monkeypatch):
         register_estimator("mine", ElasticEstimator)
 
 
-def test_elastic_estimator_does_not_wait_for_torch():
+def test_elastic_estimator_loads_no_network():
     code = (
         "import sys; from softtissue_estimator.config import EstimatorConfig;"
         "from softtissue_estimator.estimator import create_estimator;"
-        "create_estimator(EstimatorConfig(estimator='elastic')); sys.exit('torch' in sys.modules)"
+        "create_estimator(EstimatorConfig(estimator='elastic')); sys.exit(any('network' in name for name in sys.modules if name.startswith('softtissue')))"
     )
     done = subprocess.run([sys.executable, "-c", code], env={"PYTHONPATH": ":".join(sys.path)}, check=False)
     assert done.returncode == 0

@@ -202,7 +202,7 @@ def test_tf_is_asked_when_no_registration_fits():
 def test_parameter_file_has_every_parameter_with_its_default():
     text = (PACKAGE / "config" / "softtissue_estimator.yaml").read_text()
     listed = yaml.safe_load(text)["/**"]["ros__parameters"]
-    defaults = dataclasses.asdict(EstimatorConfig())
+    defaults = dataclasses.asdict(EstimatorConfig()) | parameters.NODE_DEFAULTS
     assert listed == defaults
     # ROS is strict: 1 is not a double.
     assert {n: type(v) for n, v in listed.items()} == {n: type(v) for n, v in defaults.items()}

@@ -26,7 +26,7 @@ LIVE = frozenset(
 )
 
 # A node answers a stream, a library one observation at a time.
-_NODE_DEFAULTS = {"tracking": True}
+NODE_DEFAULTS = {"tracking": True}
 
 
 def descriptor(field: "dataclasses.Field[Any]") -> ParameterDescriptor:
@@ -58,7 +58,7 @@ def declare_parameters(node: Node) -> None:
     """
     for field in dataclasses.fields(EstimatorConfig):
         try:
-            default = _NODE_DEFAULTS.get(field.name, field.default)
+            default = NODE_DEFAULTS.get(field.name, field.default)
             node.declare_parameter(field.name, default, descriptor(field))
         except (InvalidParameterTypeException, InvalidParameterValueException) as error:
             # rclpy's sentences say what was expected and what was given.
