@@ -94,6 +94,14 @@ class EstimatorConfig:
         limits=(1e-5, 0.01),
     )
 
+    attachment_length_m: float = _setting(
+        0.002,
+        "Attached surface is held as by tissue of this thickness; more where it is uncertain what is attached. Used by "
+        "'elastic'.",
+        unit="m",
+        limits=(0.0002, 1.0),
+    )
+
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             _check(field, getattr(self, field.name))

@@ -88,7 +88,7 @@ class ElasticEstimator(Estimator):
     def load_organ(self, organ: Organ, progress: Progress = silent) -> None:
         """See `Estimator.load_organ`."""
         with self._threads.limit(limits=1, user_api="blas"):
-            self._model = build_model(organ, self._config.poisson_ratio, self._device, progress)
+            self._model = build_model(organ, self._config, self._device, progress)
         self.forget()
 
     def forget(self) -> None:

@@ -7,6 +7,7 @@ import torch
 from scipy.sparse import coo_array, csr_array
 
 from softtissue_estimator.cache import Arrays, cached_arrays
+from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.elasticity import nodal_volumes
 from softtissue_estimator.estimator import Progress
 from softtissue_estimator.hyperelastic import HyperelasticBody
@@ -16,7 +17,6 @@ from softtissue_estimator.organ import Organ
 from softtissue_estimator.surface_lookup import SurfaceLookup
 from softtissue_estimator.volume_mesh import VolumeMesh, tetrahedralise
 
-SPRING_LENGTH_M = 0.002  # the springs are as stiff as the organ itself at this thickness
 _VERSION = 3  # of what is cached
 _GROUND_SHARE_HELD = 1e-5
 _GROUND_SHARE_FREE = 0.03
@@ -53,8 +53,12 @@ class ElasticModel:
         return _interpolation(self.mesh, points, self.sample_tet[self.lookup.nearest_sample(points)])
 
 
-def build_model(organ: Organ, poisson_ratio: float, device: torch.device, progress: Progress) -> ElasticModel:
+def build_model(
+    organ: Organ, config: EstimatorConfig, device: torch.device, progress: Progress
+) -> ElasticModel:
     """Prepare an organ: seconds the first time, afterwards the tetrahedra come from the cache.
+
+    Another attached region of the same organ keeps the tetrahedra and takes a fraction of a second.
 
     Raises
     ------
@@ -68,21 +72,23 @@ def build_model(organ: Organ, poisson_ratio: float, device: torch.device, progre
     # By the surface and the query points alone: another attached region keeps the mesh.
     stored = cached_arrays("tetrahedra", organ.geometry_digest, _VERSION, {}, lambda: _fill(organ, progress))
     mesh = VolumeMesh(stored["nodes"], stored["tets"])
-    body = HyperelasticBody(mesh, poisson_ratio, springs(organ, mesh), load_basis(mesh), device)
+    held = springs(organ, mesh, config.attachment_length_m)
+    body = HyperelasticBody(mesh, config.poisson_ratio, held, load_basis(mesh), device)
     query = _interpolation(mesh, organ.query_points, stored["query_tet"])
     return ElasticModel(organ, organ.surface_lookup, mesh, body, stored["sample_tet"], query, device)
 
 
-def springs(organ: Organ, mesh: VolumeMesh) -> FloatArray:
+def springs(organ: Organ, mesh: VolumeMesh, length_m: float) -> FloatArray:
     """Stiffness of the springs that hold an organ, over Young's modulus, (n, n) 1/m.
 
-    Attached surface is held by stiff springs, which sees an attached region finer than the coarse mesh does and needs
-    no node exactly on its edge. Weak springs between the organ and its surroundings keep rigid motions finite. Where
-    nothing is attached they are all that holds; an organ then follows the rigid motion of what is seen.
+    Attached surface is held by springs as stiff as the organ's own tissue of the given thickness, which sees an
+    attached region finer than the coarse mesh does and needs no node exactly on its edge. Weak springs between the
+    organ and its surroundings keep rigid motions finite. Where nothing is attached they are all that holds; an organ
+    then follows the rigid motion of what is seen.
     """
     attached = mesh.interpolation(organ.surface.vertices[organ.attached])
     areas = vertex_areas(organ.surface)[organ.attached]
-    held = (attached.T @ attached.multiply(areas[:, None] / SPRING_LENGTH_M)).toarray()
+    held = (attached.T @ attached.multiply(areas[:, None] / length_m)).toarray()
     ground = _GROUND_SHARE_HELD if organ.attached.any() else _GROUND_SHARE_FREE
     # Per volume, Young's modulus over the square of the organ's size is the stiffness of the organ itself.
     held[np.diag_indices(len(held))] += nodal_volumes(mesh) * (ground / mesh.volumes.sum() ** (2.0 / 3.0))

@@ -243,6 +243,29 @@ def test_second_load_comes_from_the_cache(held_organ, monkeypatch):
     assert np.isfinite(estimator.estimate(seen_of(SURFACE, bent)).displacement).all()
 
 
+def test_another_attached_region_keeps_the_tetrahedra(held_organ, monkeypatch):
+    before = loaded(held_organ)
+    monkeypatch.setattr("softtissue_estimator.elastic_model.tetrahedralise", None)
+    other = loaded(held_organ.with_attached(SURFACE.vertices[:, 0] > 0.055))
+    np.testing.assert_array_equal(other.mesh.nodes, before.mesh.nodes)
+    pulled = seen_of(SURFACE, lambda p: np.tile([0.0, 0.0, 0.01], (len(p), 1)) * (np.abs(p[:, :1]) < 0.02))
+    near = SURFACE.vertices[:, 0] > 0.06
+    first, second = (e.estimate(pulled).displacement[near] for e in (before, other))
+    assert np.linalg.norm(second, axis=1).mean() < 0.3 * np.linalg.norm(first, axis=1).mean()
+
+
+def test_a_softer_attachment_gives_way(held_organ):
+    everywhere = seen_of(SURFACE, lambda p: np.tile([0.01, 0.0, 0.0], (len(p), 1)))
+    far = everywhere.reference[:, 0] > 0.0
+    pulled = Observation(*(v[far] for v in (everywhere.reference, everywhere.displacement, everywhere.sigma)))
+    firm, soft = (
+        loaded(held_organ, EstimatorConfig(attachment_length_m=length)).estimate(pulled).displacement
+        for length in (0.001, 0.1)
+    )
+    moved = [np.linalg.norm(found[held_organ.attached], axis=1).mean() for found in (firm, soft)]
+    assert moved[1] > 1.5 * moved[0]
+
+
 def test_observation_is_not_changed(held):
     observation = seen_of(SURFACE, bent)
     before = [v.copy() for v in (observation.reference, observation.displacement, observation.sigma)]
