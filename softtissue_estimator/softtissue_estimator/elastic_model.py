@@ -73,9 +73,16 @@ def build_model(
     stored = cached_arrays("tetrahedra", organ.geometry_digest, _VERSION, {}, lambda: _fill(organ, progress))
     mesh = VolumeMesh(stored["nodes"], stored["tets"])
     held = springs(organ, mesh, config.attachment_length_m)
-    body = HyperelasticBody(mesh, config.poisson_ratio, held, load_basis(mesh), device)
+    loads = load_basis(mesh, attached_areas(organ, mesh))
+    body = HyperelasticBody(mesh, config.poisson_ratio, held, loads, device)
     query = _interpolation(mesh, organ.query_points, stored["query_tet"])
     return ElasticModel(organ, organ.surface_lookup, mesh, body, stored["sample_tet"], query, device)
+
+
+def attached_areas(organ: Organ, mesh: VolumeMesh) -> FloatArray:
+    """Attached surface that belongs to each node, (n,) m^2."""
+    attached = mesh.interpolation(organ.surface.vertices[organ.attached])
+    return np.asarray(attached.T @ vertex_areas(organ.surface)[organ.attached], dtype=np.float64)
 
 
 def springs(organ: Organ, mesh: VolumeMesh, length_m: float) -> FloatArray:

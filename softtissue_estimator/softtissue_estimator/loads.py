@@ -9,13 +9,20 @@ from softtissue_estimator.volume_mesh import VolumeMesh
 PATCH_SPACING_M = 0.012
 PATCH_WIDTH = 11.0 / 12.0  # standard deviation over spacing
 MOST_PATCHES = 240
+_LEAST_FREE = 0.15  # share of a patch that must not be attached
 
 
-def load_basis(mesh: VolumeMesh) -> FloatArray:
+def load_basis(mesh: VolumeMesh, attached_areas: FloatArray | None = None) -> FloatArray:
     """Nodal forces of unit loads, (n, p); each column sums to one.
 
     Gaussian patches about points of the surface that are spread evenly, at most `MOST_PATCHES`, and last the weight of
-    the organ.
+    the organ. Nothing pushes where the organ is attached.
+
+    Parameters
+    ----------
+    mesh : VolumeMesh
+    attached_areas : (n,) m^2
+        Attached surface that belongs to each node; none by default.
     """
     areas = nodal_areas(mesh)
     surface = np.flatnonzero(areas > 0.0)
@@ -24,8 +31,13 @@ def load_basis(mesh: VolumeMesh) -> FloatArray:
     squared = ((points[:, None] - points[centres]) ** 2).sum(axis=2)
     patches = np.zeros((len(mesh.nodes), len(centres)))
     patches[surface] = np.exp(-squared / (2.0 * (PATCH_WIDTH * spacing) ** 2)) * areas[surface, None]
+    whole = patches.sum(axis=0)
+    if attached_areas is not None:
+        patches *= (1.0 - attached_areas / np.maximum(areas, 1e-12)).clip(0.0, 1.0)[:, None]
+    free = patches.sum(axis=0)
+    kept = free > _LEAST_FREE * whole
     volumes = nodal_volumes(mesh)
-    return np.column_stack([patches / patches.sum(axis=0), volumes / volumes.sum()])
+    return np.ascontiguousarray(np.column_stack([patches[:, kept] / free[kept], volumes / volumes.sum()]))
 
 
 def _spread(points: FloatArray) -> tuple[list[int], float]:

@@ -29,3 +29,12 @@ def test_patches_act_on_the_surface_and_cover_it():
 def test_large_organs_get_larger_patches_not_more():
     large = box_tets((0.30, 0.20, 0.15), (24, 16, 12))
     assert load_basis(large).shape[1] == MOST_PATCHES + 1
+
+
+def test_nothing_pushes_what_is_attached():
+    areas = nodal_areas(MESH)
+    held = MESH.nodes[:, 0] < 0.02
+    loads = load_basis(MESH, np.where(held, areas, 0.0))
+    assert (loads[held, :-1] == 0.0).all()
+    np.testing.assert_allclose(loads.sum(axis=0), 1.0)
+    assert 1 < loads.shape[1] < load_basis(MESH).shape[1]
