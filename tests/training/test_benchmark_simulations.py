@@ -1,5 +1,6 @@
 """What the benchmark simulates: given organs, one load with several materials, seeds that nothing else uses."""
 
+import signal
 import subprocess
 import sys
 
@@ -106,9 +107,14 @@ def test_generate_refuses_the_seeds_of_the_benchmark(tmp_path, capsys):
 def test_workers_leave_ctrl_c_to_the_process_that_started_them():
     """A terminal sends it to all of them; the workers would die with a traceback each."""
     show = [sys.executable, "-c", "import signal; print(signal.getsignal(signal.SIGINT) is signal.SIG_IGN)"]
-    with cluster._no_interrupt_for_children():
-        inside = subprocess.run(show, capture_output=True, text=True, check=True).stdout
-    after = subprocess.run(show, capture_output=True, text=True, check=True).stdout
+    # Started in the background by a shell, the tests themselves ignore it.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with cluster._no_interrupt_for_children():
+            inside = subprocess.run(show, capture_output=True, text=True, check=True).stdout
+        after = subprocess.run(show, capture_output=True, text=True, check=True).stdout
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert (inside.strip(), after.strip()) == ("True", "False")
 
 
