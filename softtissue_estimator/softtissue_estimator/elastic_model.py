@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array
 
 from softtissue_estimator.cache import Arrays, cached_arrays
 from softtissue_estimator.config import EstimatorConfig
@@ -50,7 +50,7 @@ class ElasticModel:
 
     def surface_interpolation(self, points: FloatArray) -> csr_array:
         """Interpolate from the nodes to points (k, 3) m near the surface, (k, n); one table access a point."""
-        return _interpolation(self.mesh, points, self.sample_tet[self.lookup.nearest_sample(points)])
+        return self.mesh.interpolation_in(points, self.sample_tet[self.lookup.nearest_sample(points)])
 
 
 def build_model(
@@ -75,7 +75,7 @@ def build_model(
     held = springs(organ, mesh, config.attachment_length_m)
     loads = load_basis(mesh, attached_areas(organ, mesh))
     body = HyperelasticBody(mesh, config.poisson_ratio, held, loads, device)
-    query = _interpolation(mesh, organ.query_points, stored["query_tet"])
+    query = mesh.interpolation_in(organ.query_points, stored["query_tet"])
     return ElasticModel(organ, organ.surface_lookup, mesh, body, stored["sample_tet"], query, device)
 
 
@@ -111,9 +111,3 @@ def _fill(organ: Organ, progress: Progress) -> Arrays:
         "sample_tet": mesh.locate(organ.surface_lookup.samples),
         "query_tet": mesh.locate(organ.query_points),
     }
-
-
-def _interpolation(mesh: VolumeMesh, points: FloatArray, tet: IntArray) -> csr_array:
-    rows = np.repeat(np.arange(len(points)), 4)
-    entries = (mesh.weights(points, tet).ravel(), (rows, mesh.tets[tet].ravel()))
-    return csr_array(coo_array(entries, shape=(len(points), len(mesh.nodes))))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array
 
 from softtissue_estimator.elastic_estimator import ElasticEstimate, ElasticEstimator
 from softtissue_estimator.hybrid_input import SeenMisfit
@@ -48,7 +48,7 @@ class PosteriorReader:
         """Compare what an estimate was made from with what it says there."""
         seen = estimate.seen
         tet = self.sample_tet[self.lookup.nearest_sample(seen.reference)]
-        mean, _ = estimate.interpolated(seen.reference, interpolation_in(self.mesh, seen.reference, tet))
+        mean, _ = estimate.interpolated(seen.reference, self.mesh.interpolation_in(seen.reference, tet))
         return SeenMisfit(
             torch.from_numpy(seen.reference),
             torch.from_numpy(seen.displacement - mean),
@@ -61,10 +61,3 @@ def make_reader(estimator: ElasticEstimator, lookup: SurfaceLookup, points: Floa
     mesh, interpolation = estimator.mesh, estimator.interpolation(points)
     reached = np.asarray(interpolation @ mesh.nodes)
     return PosteriorReader(mesh, lookup, mesh.locate(lookup.samples), reached, interpolation)
-
-
-def interpolation_in(mesh: VolumeMesh, points: FloatArray, tet: IntArray) -> csr_array:
-    """Sparse matrix (n, nodes) that interpolates nodal values at (n, 3) points, m, in the given tetrahedra (n,)."""
-    rows = np.repeat(np.arange(len(points)), 4)
-    entries = (mesh.weights(points, tet).ravel(), (rows, mesh.tets[tet].ravel()))
-    return csr_array(coo_array(entries, shape=(len(points), len(mesh.nodes))))

@@ -113,7 +113,10 @@ class VolumeMesh:
 
     def interpolation(self, points: FloatArray) -> csr_array:
         """Sparse matrix (n, nodes) that interpolates nodal values at (n, 3) points, m."""
-        tet = self.locate(points)
+        return self.interpolation_in(points, self.locate(points))
+
+    def interpolation_in(self, points: FloatArray, tet: IntArray) -> csr_array:
+        """Do the same for points that lie in the given tetrahedra, (n,)."""
         rows = np.repeat(np.arange(len(points)), 4)
         entries = (self.weights(points, tet).ravel(), (rows, self.tets[tet].ravel()))
         return csr_array(coo_array(entries, shape=(len(points), len(self.nodes))))
