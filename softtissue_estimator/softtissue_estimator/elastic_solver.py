@@ -142,11 +142,11 @@ class Solver:
                 break
         return belief if self._misfit(residual, weight) < LOST_M else None
 
-    def start(self) -> Belief:
+    def start(self, updates: int = UPDATES) -> Belief:
         """Explain the observation with the organ linear about its rigid motion: the first step of `solve`."""
         tangent = self._model.body.linearise_moved(self._rotation, self._moved, self._rest)
         weight = np.ones(len(self._seen.precision))
-        return self._explain(tangent, None, FIRST_MODEL_SIGMA_M, weight, UPDATES)
+        return self._explain(tangent, None, FIRST_MODEL_SIGMA_M, weight, updates)
 
     def improve(self, belief: Belief, variances: Tensor, *, guarded: bool) -> Belief:
         """Make one more step of `solve`.

@@ -12,6 +12,7 @@ from softtissue_estimator.latest_worker import LatestWorker
 
 _log = logging.getLogger(__name__)
 _REVIVED_SHARE = 1e-3
+_START_UPDATES = 2  # of the variances, of all loads; the thread makes more
 _STOP_TIMEOUT_S = 3.0  # several times what a step takes
 
 
@@ -48,7 +49,7 @@ class ElasticTracker:
         belief = None if guide is None else solver.follow(guide)
         started = belief is None or guide is None
         if belief is None or guide is None:
-            belief = solver.start()
+            belief = solver.start(_START_UPDATES)
             variances = belief.amplitudes.variances
         else:
             # Loads that have become irrelevant get a little back, so that a new one can be found.

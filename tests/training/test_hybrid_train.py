@@ -25,6 +25,7 @@ from softtissue_training.learning.hybrid.validation import (
     GAINS,
     TABLE,
     HybridValidation,
+    _trusted_gain,
     calibration,
     summarised,
 )
@@ -215,3 +216,14 @@ def test_a_run_does_not_go_on_with_other_data_and_refuses_what_it_cannot_do(fold
     ):
         assert command(folder, tmp_path / "other", *options) == 2
         assert message in capsys.readouterr().err
+
+
+def test_a_gain_that_chance_explains_is_not_trusted():
+    rng = np.random.default_rng(2)
+    without = rng.uniform(1.0, 3.0, size=60)
+    errors = np.repeat(without[:, None], len(GAINS), axis=1)
+    errors[:, -1] += rng.normal(-0.001, 0.1, size=60)
+    assert errors[:, -1].mean() < errors[:, 0].mean()
+    assert _trusted_gain(errors) == 0
+    errors[:, -1] = 0.9 * without
+    assert _trusted_gain(errors) == len(GAINS) - 1

@@ -42,7 +42,8 @@ class HybridResult:
     score
         What the best weights are chosen by: the error, and how well the standard deviation fits.
     remainder_gain
-        Of `GAINS`, the one with the smallest error; all else is with it.
+        Of `GAINS`, the one with the smallest error if that is clearly smaller than without the network, else 0; all
+        else is with it.
     sigma_factor
         What calibrates the standard deviation on these views; the next two are with it.
     within_one, within_two
@@ -127,7 +128,7 @@ def summarised(table: FloatArray, shares: FloatArray) -> HybridResult:
     shares
         (views,) visible share of the surface.
     """
-    best = int(table[:, :, 0].mean(axis=0).argmin())
+    best = _trusted_gain(table[:, :, 0])
     error, elastic, sigma, likelihood = table[:, best, :4].T
     factor, within = calibration(table[:, best, 4:].mean(axis=0))
     spread = min(float(np.std(error)), float(np.std(sigma)))
@@ -147,6 +148,13 @@ def summarised(table: FloatArray, shares: FloatArray) -> HybridResult:
         correlation=float(np.corrcoef(error, sigma)[0, 1]) if spread > 0.0 else 0.0,
         by_share=tuple(bins),
     )
+
+
+def _trusted_gain(errors: FloatArray) -> int:
+    """Choose among errors (views, gains): the smallest mean, if it beats the first gain by two standard errors."""
+    best = int(errors.mean(axis=0).argmin())
+    gained = errors[:, 0] - errors[:, best]
+    return best if gained.mean() > 2.0 * gained.std() / np.sqrt(len(gained)) else 0
 
 
 def calibration(histogram: FloatArray) -> tuple[float, tuple[float, float]]:
