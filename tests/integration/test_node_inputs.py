@@ -38,7 +38,13 @@ def scene(folder):
 def running(folder, tmp_path_factory):
     """A node on a small organ, and a client of it; shared by the tests of this file."""
     domain = new_domain()
-    parameters = {"organ": folder, "minimum_visible_fraction": 0.01, "frame_budget_s": 10.0}
+    # Answers are compared with each other here, so that none may depend on the one before.
+    parameters = {
+        "organ": folder,
+        "minimum_visible_fraction": 0.01,
+        "frame_budget_s": 10.0,
+        "tracking": False,
+    }
     with NodeProcess(domain, tmp_path_factory.mktemp("node"), parameters) as node, Client(domain) as client:
         client.wait_until_connected()
         yield node, client
