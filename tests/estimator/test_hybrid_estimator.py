@@ -111,7 +111,7 @@ def test_it_reads_the_posterior_and_what_was_seen(tmp_path, network, observation
     order = [np.lexsort(np.round(found, 9).T) for found in (points, seen.reference.numpy())]
     np.testing.assert_allclose(seen.reference.numpy()[order[1]], points[order[0]], atol=1e-12)
     wanted = (bent(points) + noise - estimate.displacement_at(points)[0])[order[0]]
-    np.testing.assert_allclose(seen.misfit.numpy()[order[1]], wanted, atol=2e-4)
+    np.testing.assert_allclose(seen.misfit.numpy()[order[1]], wanted, atol=5e-4)
     assert np.linalg.norm(wanted, axis=1).max() > 3e-3
     assert (seen.sigma.numpy() >= 0.00299).all()
 
