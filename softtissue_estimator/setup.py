@@ -48,6 +48,7 @@ setup(
     ],
     extras_require={
         "vtk": ["vtk"],
+        "msh": ["meshio"],
         "demo": ["matplotlib"],
         "dev": [
             "hypothesis",
@@ -69,6 +70,7 @@ setup(
             f"replay = {NAME}.ros.replay:main",
             f"score = {NAME}.ros.score:main",
             f"demo = {NAME}.ros.demo:main",
+            f"check_organ = {NAME}.check_organ:main",
         ],
     },
 )

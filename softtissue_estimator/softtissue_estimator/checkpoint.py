@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -21,6 +22,27 @@ from softtissue_estimator.network_input import NetworkSpec
 FORMAT = "softtissue-checkpoint"
 VERSION = 1
 KIND = "paper"
+
+
+class _Architecture(Protocol):
+    @property
+    def in_channels(self) -> int: ...
+
+
+class _Spec(Protocol):
+    """What every network's specification has."""
+
+    @property
+    def channels(self) -> tuple[str, ...]: ...
+
+    @property
+    def input_scales(self) -> tuple[float, ...]: ...
+
+    @property
+    def architecture(self) -> _Architecture: ...
+
+
+SpecT = TypeVar("SpecT", bound=_Spec)
 
 
 @dataclass(frozen=True)
@@ -66,25 +88,44 @@ def load_checkpoint(path: Path) -> Checkpoint:
         The file is missing, damaged, no checkpoint of this software, or does not fit the architecture it names.
     """
     metadata, tensors = read_weights(path, KIND)
-    spec, provenance = _parse(path, metadata)
+    spec, provenance = parse_spec(path, metadata, NetworkSpec, UNetArchitecture)
     network = UNet(spec.architecture)
     check_shapes(path, network, tensors)
     network.load_state_dict(tensors)
     return Checkpoint(network.eval().requires_grad_(False), spec, provenance)
 
 
-def _parse(path: Path, metadata: dict[str, str]) -> tuple[NetworkSpec, dict[str, Any]]:
+def parse_spec(
+    path: Path,
+    metadata: dict[str, str],
+    spec_type: Callable[..., SpecT],
+    architecture_type: Callable[..., Any],
+) -> tuple[SpecT, dict[str, Any]]:
+    """Return what a checkpoint's metadata say of its network, and of how its weights came about.
+
+    Parameters
+    ----------
+    spec_type
+        Class with `channels`, `input_scales` and `architecture` among its fields.
+    architecture_type
+        Class of the last, with `widths` and `in_channels`.
+
+    Raises
+    ------
+    CheckpointError
+        The metadata are not those of such a network.
+    """
     try:
         fields = json.loads(metadata["spec"])
         architecture = fields.pop("architecture")
         architecture["widths"] = tuple(architecture["widths"])
         for name in ("channels", "input_scales"):
             fields[name] = tuple(fields[name])
-        spec = NetworkSpec(**fields, architecture=UNetArchitecture(**architecture))
+        spec = spec_type(**fields, architecture=architecture_type(**architecture))
         provenance: dict[str, Any] = json.loads(metadata["provenance"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise CheckpointError(f"checkpoint {path} has unreadable metadata: {error}") from error
-    if len(spec.channels) != spec.architecture.in_channels or len(spec.input_scales) != len(spec.channels):
+    if not len(spec.input_scales) == len(spec.channels) == spec.architecture.in_channels:
         raise CheckpointError(
             f"checkpoint {path} names {len(spec.channels)} channels and {len(spec.input_scales)} scales for a network "
             f"of {spec.architecture.in_channels} input channels"

@@ -79,7 +79,12 @@ class EstimatorConfig:
         2.0, "Without a usable cloud for this long, the status says so.", unit="s", limits=(0.1, 3600.0)
     )
     poisson_ratio: float = _setting(
-        0.35, "Poisson's ratio of the organ, used by 'elastic'.", limits=(0.0, 0.49)
+        0.35, "Poisson's ratio that is expected of the organ, used by 'elastic'.", limits=(0.0, 0.49)
+    )
+    poisson_ratio_sigma: float = _setting(
+        0.1,
+        "Its standard deviation: within twice as much, what is seen decides; 0 where it is known. Used by 'elastic'.",
+        limits=(0.0, 0.2),
     )
     prior_sigma_m: float = _setting(
         0.015,

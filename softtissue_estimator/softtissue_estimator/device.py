@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import torch
 
 from softtissue_estimator.errors import InvalidInputError
@@ -37,3 +40,17 @@ def device_stopwatch(device: torch.device) -> Stopwatch:
     if device.type == "cuda":
         return Stopwatch(finish=lambda: torch.cuda.synchronize(device))
     return Stopwatch()
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let torch compute in the calling thread alone, for threads that share the cores with each other.
+
+    Their teams would wait for each other.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

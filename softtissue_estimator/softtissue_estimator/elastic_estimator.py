@@ -1,11 +1,13 @@
 """The elastic posterior behind the interface of every estimator."""
 
+from contextlib import nullcontext
+
 import numpy as np
 from scipy.sparse import csr_array
 from threadpoolctl import ThreadpoolController
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.device import choose_device, device_stopwatch
+from softtissue_estimator.device import choose_device, device_stopwatch, one_thread
 from softtissue_estimator.elastic_model import ElasticModel, build_model
 from softtissue_estimator.elastic_solver import Solver
 from softtissue_estimator.elastic_tracking import ElasticTracker
@@ -28,17 +30,23 @@ class ElasticEstimate(Estimate):
     ----------
     seen : SeenPatches
         What it was conditioned on.
+    misfit : (c, 3) float64
+        Seen displacement of each of these minus the answer's, m.
+    poisson_ratio : float
+        Of the organ, as far as what is seen tells.
     """
 
     def __init__(
         self,
         model: ElasticModel,
         seen: SeenPatches,
+        misfit: FloatArray,
+        poisson_ratio: float,
         nodal_displacement: FloatArray,
         nodal_sigma: FloatArray,
         stages: dict[str, float],
     ) -> None:
-        self.seen = seen
+        self.seen, self.misfit, self.poisson_ratio = seen, misfit, poisson_ratio
         self._mesh = model.mesh
         self._nodal_displacement = nodal_displacement
         self._nodal_variance = nodal_sigma**2
@@ -113,7 +121,9 @@ class ElasticEstimator(Estimator):
     def estimate(self, observation: Observation) -> ElasticEstimate:
         """See `Estimator.estimate`."""
         model = self._loaded("estimate")
-        with self._threads.limit(limits=1, user_api="blas"):
+        # In a stream the tracker's thread computes at the same time.
+        alone = nullcontext() if self._tracker is None else one_thread()
+        with self._threads.limit(limits=1, user_api="blas"), alone:
             return self._estimate(observation, model)
 
     def _loaded(self, before: str) -> ElasticModel:
@@ -135,6 +145,8 @@ class ElasticEstimator(Estimator):
         watch.lap("solve")
         sigma = solver.deviation(belief)
         watch.lap("uncertainty")
-        estimate = ElasticEstimate(model, seen, belief.mean.cpu().numpy(), sigma, watch.stages)
+        ratio = model.ratios.ratios[belief.ratio]
+        misfit, mean = solver.residual(belief), belief.mean.cpu().numpy()
+        estimate = ElasticEstimate(model, seen, misfit, ratio, mean, sigma, watch.stages)
         watch.lap("warp")
         return estimate

@@ -10,11 +10,12 @@ from softtissue_estimator.cache import Arrays, cached_arrays
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.elasticity import nodal_volumes
 from softtissue_estimator.estimator import Progress
-from softtissue_estimator.hyperelastic import HyperelasticBody
+from softtissue_estimator.hyperelastic import HyperelasticBody, RestingBody
 from softtissue_estimator.loads import load_basis
 from softtissue_estimator.mesh import FloatArray, IntArray, vertex_areas
 from softtissue_estimator.organ import Organ
 from softtissue_estimator.surface_lookup import SurfaceLookup
+from softtissue_estimator.tissue import RatioPrior, ratio_prior
 from softtissue_estimator.volume_mesh import VolumeMesh, tetrahedralise
 
 _VERSION = 3  # of what is cached
@@ -32,6 +33,10 @@ class ElasticModel:
     lookup : SurfaceLookup
     mesh : VolumeMesh
     body : HyperelasticBody
+    resting : RestingBody
+        With the expected Poisson's ratio.
+    ratios : RatioPrior
+        What Poisson's ratio may be.
     sample_tet : (s,) int64
         Tetrahedron of every sample of the lookup.
     query : (q, n) sparse
@@ -44,6 +49,8 @@ class ElasticModel:
     lookup: SurfaceLookup
     mesh: VolumeMesh
     body: HyperelasticBody
+    resting: RestingBody
+    ratios: RatioPrior
     sample_tet: IntArray
     query: csr_array
     device: torch.device
@@ -72,31 +79,36 @@ def build_model(
     # By the surface and the query points alone: another attached region keeps the mesh.
     stored = cached_arrays("tetrahedra", organ.geometry_digest, _VERSION, {}, lambda: _fill(organ, progress))
     mesh = VolumeMesh(stored["nodes"], stored["tets"])
-    held = springs(organ, mesh, config.attachment_length_m)
-    loads = load_basis(mesh, attached_areas(organ, mesh))
-    body = HyperelasticBody(mesh, config.poisson_ratio, held, loads, device)
-    query = mesh.interpolation_in(organ.query_points, stored["query_tet"])
-    return ElasticModel(organ, organ.surface_lookup, mesh, body, stored["sample_tet"], query, device)
-
-
-def attached_areas(organ: Organ, mesh: VolumeMesh) -> FloatArray:
-    """Attached surface that belongs to each node, (n,) m^2."""
     attached = mesh.interpolation(organ.surface.vertices[organ.attached])
-    return np.asarray(attached.T @ vertex_areas(organ.surface)[organ.attached], dtype=np.float64)
+    areas = vertex_areas(organ.surface)[organ.attached]
+    held = _springs(mesh, attached, areas / config.attachment_length_m)
+    loads = load_basis(mesh, np.asarray(attached.T @ areas))
+    body = HyperelasticBody(mesh, held, loads, device)
+    resting = body.at_rest(config.poisson_ratio)
+    ratios = ratio_prior(config.poisson_ratio, config.poisson_ratio_sigma)
+    query = mesh.interpolation_in(organ.query_points, stored["query_tet"])
+    return ElasticModel(
+        organ, organ.surface_lookup, mesh, body, resting, ratios, stored["sample_tet"], query, device
+    )
 
 
-def springs(organ: Organ, mesh: VolumeMesh, length_m: float) -> FloatArray:
+def _springs(mesh: VolumeMesh, attached: csr_array, stiffness: FloatArray) -> FloatArray:
     """Stiffness of the springs that hold an organ, over Young's modulus, (n, n) 1/m.
 
     Attached surface is held by springs as stiff as the organ's own tissue of the given thickness, which sees an
     attached region finer than the coarse mesh does and needs no node exactly on its edge. Weak springs between the
     organ and its surroundings keep rigid motions finite. Where nothing is attached they are all that holds; an organ
     then follows the rigid motion of what is seen.
+
+    Parameters
+    ----------
+    attached : (a, n) sparse
+        Interpolation from the nodes to the attached vertices; a may be 0.
+    stiffness : (a,) m
+        Attached area over the thickness, of each of these.
     """
-    attached = mesh.interpolation(organ.surface.vertices[organ.attached])
-    areas = vertex_areas(organ.surface)[organ.attached]
-    held = (attached.T @ attached.multiply(areas[:, None] / length_m)).toarray()
-    ground = _GROUND_SHARE_HELD if organ.attached.any() else _GROUND_SHARE_FREE
+    held = (attached.T @ attached.multiply(stiffness[:, None])).toarray()
+    ground = _GROUND_SHARE_HELD if len(stiffness) else _GROUND_SHARE_FREE
     # Per volume, Young's modulus over the square of the organ's size is the stiffness of the organ itself.
     held[np.diag_indices(len(held))] += nodal_volumes(mesh) * (ground / mesh.volumes.sum() ** (2.0 / 3.0))
     return np.asarray(held, dtype=np.float64)

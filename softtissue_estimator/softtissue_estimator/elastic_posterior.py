@@ -19,8 +19,10 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from softtissue_estimator.hyperelastic import Tangent
-from softtissue_estimator.mesh import FloatArray, IntArray
-from softtissue_estimator.relevance import Amplitudes, determine_relevance
+from softtissue_estimator.mesh import FloatArray
+from softtissue_estimator.relevance import Amplitudes, determine_relevance, invert_lower
+
+_BLOCK = 160  # rows of a triangular matrix that are worth a product of their own
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,15 +32,18 @@ class SeenNodes:
     Parameters
     ----------
     nodes : (s,) int64
-    normal : (s, s) float64 1/m^2
+    normal : (s, s) float64, sparse, 1/m^2
         H^T S^-1 H for one component.
     right : (s, 3) float64 1/m
         H^T S^-1 y.
+    power : float
+        y^T S^-1 y.
     """
 
     nodes: Tensor
     normal: Tensor
     right: Tensor
+    power: float
 
 
 def sum_up(
@@ -55,12 +60,26 @@ def sum_up(
     precision : (c,) 1/m^2
         Inverse variance of each component of `observed`.
     """
-    nodes: IntArray = np.unique(interpolation.indices).astype(np.int64)
-    seen = csr_array(interpolation[:, nodes])
-    weighted = csr_array(seen.multiply(precision[:, None]))
-    normal = (seen.T @ weighted).toarray()
-    right = np.asarray(weighted.T @ observed)
-    return SeenNodes(*(torch.from_numpy(part).to(device) for part in (nodes, normal, right)))
+    used = np.zeros(interpolation.shape[1], dtype=np.bool_)
+    used[interpolation.indices] = True
+    nodes = np.flatnonzero(used)
+    entries = (np.cumsum(used) - 1)[interpolation.indices], interpolation.indptr
+    shape = interpolation.shape[0], len(nodes)
+    seen = csr_array((interpolation.data, *entries), shape=shape)
+    weights = precision.repeat(np.diff(interpolation.indptr))
+    weighted = csr_array((interpolation.data * weights, *entries), shape=shape)
+    right = torch.from_numpy(np.asarray(weighted.T @ observed))
+    normal = _sparse_tensor(csr_array(seen.T @ weighted))
+    power = float(precision @ np.square(observed).sum(axis=1))
+    return SeenNodes(torch.from_numpy(nodes).to(device), normal.to(device), right.to(device), power)
+
+
+def _sparse_tensor(matrix: csr_array) -> Tensor:
+    matrix.sort_indices()
+    entries = matrix.tocoo()
+    place = torch.from_numpy(np.stack(entries.coords).astype(np.int64))
+    values = torch.from_numpy(entries.data)
+    return torch.sparse_coo_tensor(place, values, matrix.shape, check_invariants=False, is_coalesced=True)
 
 
 def equal_variances(tangent: Tangent, seen: SeenNodes, prior_sigma_m: float) -> Tensor:
@@ -70,8 +89,8 @@ def equal_variances(tangent: Tangent, seen: SeenNodes, prior_sigma_m: float) -> 
     return (prior_sigma_m**2 / power).repeat(rows.shape[2] // 3)
 
 
-def condition(tangent: Tangent, seen: SeenNodes, variances: Tensor, updates: int) -> Amplitudes:
-    """Condition the loads on an observation.
+def condition(tangent: Tangent, seen: SeenNodes, variances: Tensor, updates: int) -> tuple[Amplitudes, float]:
+    """Condition the loads on an observation; also the logarithm of the evidence, with a constant of the noise alone.
 
     Parameters
     ----------
@@ -85,8 +104,12 @@ def condition(tangent: Tangent, seen: SeenNodes, variances: Tensor, updates: int
     count, _, rank = rows.shape
     flat = rows.reshape(3 * count, rank)
     gram = flat.T @ (seen.normal @ rows.reshape(count, 3 * rank)).reshape(3 * count, rank)
-    right = seen.right - seen.normal @ tangent.offset[seen.nodes]
-    return determine_relevance(gram, flat.T @ right.reshape(-1), variances, updates)
+    offset = tangent.offset[seen.nodes]
+    shifted = seen.normal @ offset
+    right = flat.T @ (seen.right - shifted).reshape(-1)
+    amplitudes = determine_relevance(gram, right, variances, updates)
+    power = seen.power + float((offset * (shifted - 2.0 * seen.right)).sum())
+    return amplitudes, amplitudes.log_evidence(right, power)
 
 
 def mean_displacement(tangent: Tangent, amplitudes: Amplitudes) -> Tensor:
@@ -98,10 +121,13 @@ def mean_displacement(tangent: Tangent, amplitudes: Amplitudes) -> Tensor:
 def standard_deviation(tangent: Tangent, amplitudes: Amplitudes) -> Tensor:
     """Root mean square of the three components' posterior standard deviations at the nodes, (n,) float64 m."""
     # Single precision is plenty for a standard deviation.
-    scaled = (tangent.response * amplitudes.root.float()).T
-    half = torch.linalg.solve_triangular(amplitudes.factor.float(), scaled, upper=False)
-    variance: Tensor = half.square().sum(dim=0).view(-1, 3).mean(dim=1)
-    return variance.sqrt().double()
+    half = (invert_lower(amplitudes.factor) * amplitudes.root).float()  # L^-1 D, lower triangular like L
+    variance = torch.zeros(len(tangent.state), device=half.device)
+    for begin in range(0, len(half), _BLOCK):
+        end = min(begin + _BLOCK, len(half))
+        part = tangent.response[:, :end] @ half[begin:end, :end].T
+        variance += part.square().view(-1, 3 * (end - begin)).sum(dim=1)
+    return (variance / 3.0).sqrt().double()
 
 
 def _rows(tangent: Tangent, seen: SeenNodes) -> Tensor:

@@ -1,5 +1,6 @@
 """From patches of surface to the elastic posterior: Gauss-Newton steps, each with its own relevance of the loads."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,11 +22,14 @@ from softtissue_estimator.patch_average import SeenPatches, student_weights
 from softtissue_estimator.relevance import Amplitudes
 from softtissue_estimator.rigid import RigidMotion
 
-STEPS = 3  # a further one changes the error by a few per cent
+MOST_CHOICES = 2  # of Poisson's ratio: each makes a step, and one more for every ratio that is tried
 UPDATES = 5  # of the variances, a step
 FIRST_MODEL_SIGMA_M = 0.002
 MOST_MODEL_SIGMA_M = 0.003
-# Neighbouring patches share the error of the model: what is left of each is this much less information than it seems.
+_RIGID_MODEL_SIGMA_M = 0.1
+"""Where the model is granted so much, hardly more than the rigid motion is left of the answer."""
+# Neighbouring patches share the error of the model, so that many of them tell hardly more than one: the error that a
+# patch is granted on its own is this much larger.
 MODEL_SIGMA_OVER_MISFIT = 5.0
 # What the loads' posterior cannot know: elements and material are wrong by this share of what the organ bends.
 MODEL_ERROR_SHARE = 0.025
@@ -51,12 +55,18 @@ class Belief:
         Nodal displacement.
     model_sigma_m : float
         Error of the elastic model that the observation shows.
+    ratio : int
+        Which of the model's Poisson's ratios it supposes.
+    log_evidence : float
+        For comparison with other beliefs of the same observation.
     """
 
     tangent: Tangent
     amplitudes: Amplitudes
     mean: Tensor
     model_sigma_m: float
+    ratio: int
+    log_evidence: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +82,14 @@ class Guide:
     all_variances : (p,) float64
         Of all loads.
     model_sigma_m : float
+    ratio : int
     """
 
     tangent: Tangent
     variances: Tensor
     all_variances: Tensor
     model_sigma_m: float
+    ratio: int
 
 
 def guide_of(belief: Belief) -> Guide:
@@ -87,7 +99,7 @@ def guide_of(belief: Belief) -> Guide:
     columns = (3 * relevant[:, None] + torch.arange(3, device=variances.device)).reshape(-1)
     whole = belief.tangent
     tangent = Tangent(whole.state, whole.offset, whole.response[:, columns].contiguous())
-    return Guide(tangent, variances[relevant], variances, belief.model_sigma_m)
+    return Guide(tangent, variances[relevant], variances, belief.model_sigma_m, belief.ratio)
 
 
 class Solver:
@@ -120,12 +132,20 @@ class Solver:
         # Nothing but its surroundings holds an organ that is attached nowhere, and those move with it.
         self._rest = torch.zeros_like(self._moved) if model.organ.attached.any() else self._moved
 
+    @property
+    def ratios(self) -> frozenset[int]:
+        """Numbers of the Poisson's ratios that the organ may have."""
+        return self._model.ratios.numbers
+
     def solve(self) -> Belief:
         """Explain the observation without knowing anything from before."""
         belief = self.start()
-        for step in range(1, STEPS):
-            # The first step is large, and what it crushes comes back in the next.
-            belief = self.improve(belief, belief.amplitudes.variances, guarded=step > 1)
+        # The first step is large, and what it crushes comes back in the next.
+        belief = self.improve(belief, belief.amplitudes.variances, guarded=False)
+        for _ in range(MOST_CHOICES):
+            before, belief = belief.ratio, self._improve_by_choice(belief)
+            if belief.ratio == before:
+                break
         return belief
 
     def follow(self, guide: Guide) -> Belief | None:
@@ -135,20 +155,43 @@ class Solver:
         """
         weight = np.ones(len(self._seen.precision))
         for _ in range(2):
-            belief = self._explain(guide.tangent, guide.variances, guide.model_sigma_m, weight, 1)
-            residual = self._residual(belief.mean)
+            belief = self._explain(
+                guide.tangent, guide.variances, guide.model_sigma_m, weight, 1, guide.ratio
+            )
+            residual = self.residual(belief)
             weight = self._weights(residual, guide.model_sigma_m)
             if weight.min() == 1.0:
                 break
-        return belief if self._misfit(residual, weight) < LOST_M else None
+        lost = self._misfit(residual, weight) >= LOST_M or self._model.body.is_torn(belief.mean)
+        return None if lost else belief
 
     def start(self, updates: int = UPDATES) -> Belief:
         """Explain the observation with the organ linear about its rigid motion: the first step of `solve`."""
-        tangent = self._model.body.linearise_moved(self._rotation, self._moved, self._rest)
+        tangent = self._model.resting.linearise_moved(self._rotation, self._moved, self._rest)
         weight = np.ones(len(self._seen.precision))
-        return self._explain(tangent, None, FIRST_MODEL_SIGMA_M, weight, updates)
+        ratio = self._model.ratios.expected
+        return self._untorn(
+            lambda sigma: self._explain(tangent, None, sigma, weight, updates, ratio), FIRST_MODEL_SIGMA_M
+        )
 
-    def improve(self, belief: Belief, variances: Tensor, *, guarded: bool) -> Belief:
+    def _improve_by_choice(self, belief: Belief) -> Belief:
+        """Make one more step with every Poisson's ratio towards which what is seen becomes more likely."""
+        variances = belief.amplitudes.variances
+        best = self.improve(belief, variances, guarded=True)
+        tried = {best.ratio}
+        for direction in (1, -1):
+            while best.ratio + direction in self.ratios - tried:
+                ratio = best.ratio + direction
+                other = self.improve(belief, variances, guarded=True, ratio=ratio)
+                tried.add(ratio)
+                if other.log_evidence <= best.log_evidence:
+                    break
+                best = other
+        return best
+
+    def improve(
+        self, belief: Belief, variances: Tensor, *, guarded: bool, ratio: int | None = None
+    ) -> Belief:
         """Make one more step of `solve`.
 
         Parameters
@@ -159,13 +202,23 @@ class Solver:
             Of all loads.
         guarded : bool
             Whether to stop short of crushing elements.
+        ratio : int or None
+            Which Poisson's ratio to suppose; that of `belief` by default.
         """
-        residual = self._residual(belief.mean)
+        ratio = belief.ratio if ratio is None else ratio
+        residual = self.residual(belief)
         weight = self._weights(residual, belief.model_sigma_m)
-        sigma = self._model_sigma(self._misfit(residual, weight))
         body = self._model.body
         state = body.guarded(belief.tangent.state, belief.mean) if guarded else belief.mean
-        return self._explain(body.linearise(state, self._rest), variances, sigma, weight, UPDATES)
+        tangent = body.linearise(state, self._rest, self._model.ratios.ratios[ratio])
+        return self._untorn(
+            lambda sigma: self._explain(tangent, variances, sigma, weight, UPDATES, ratio),
+            self._model_sigma(self._misfit(residual, weight)),
+        )
+
+    def residual(self, belief: Belief) -> FloatArray:
+        """Return the seen displacement of each patch minus the mean, (c, 3) m."""
+        return np.asarray(self._seen.displacement - self._interpolation @ belief.mean.cpu().numpy())
 
     def deviation(self, belief: Belief) -> FloatArray:
         """Return the standard deviation of each component at the nodes, (n,) m."""
@@ -174,18 +227,31 @@ class Solver:
         variance = posterior.square() + (MODEL_ERROR_SHARE * bent).square() + LEAST_DEVIATION_M**2
         return np.asarray(variance.sqrt().cpu().numpy(), dtype=np.float64)
 
+    def _untorn(self, explain: Callable[[float], Belief], sigma: float) -> Belief:
+        """Explain with the least error of the model from `sigma` on that leaves the organ whole."""
+        belief = explain(sigma)
+        # Only loads that tear the organ explain what is seen so closely: the model is further off than it seems.
+        while sigma < _RIGID_MODEL_SIGMA_M and self._model.body.is_torn(belief.mean):
+            sigma *= 2.0
+            belief = explain(sigma)
+        return belief
+
     def _explain(
-        self, tangent: Tangent, variances: Tensor | None, sigma: float, weight: FloatArray, updates: int
+        self,
+        tangent: Tangent,
+        variances: Tensor | None,
+        sigma: float,
+        weight: FloatArray,
+        updates: int,
+        ratio: int,
     ) -> Belief:
         precision = weight * self._seen.precision_with(sigma)
         seen = sum_up(self._interpolation, self._seen.displacement, precision, self._model.device)
         if variances is None:
             variances = equal_variances(tangent, seen, self._prior_sigma_m)
-        amplitudes = condition(tangent, seen, variances, updates)
-        return Belief(tangent, amplitudes, mean_displacement(tangent, amplitudes), sigma)
-
-    def _residual(self, mean: Tensor) -> FloatArray:
-        return np.asarray(self._seen.displacement - self._interpolation @ mean.cpu().numpy())
+        amplitudes, evidence = condition(tangent, seen, variances, updates)
+        evidence += 1.5 * float(np.log(precision).sum()) + self._model.ratios.log_probability[ratio]
+        return Belief(tangent, amplitudes, mean_displacement(tangent, amplitudes), sigma, ratio, evidence)
 
     def _weights(self, residual: FloatArray, sigma: float) -> FloatArray:
         weight = student_weights(residual, self._seen.precision_with(sigma))

@@ -1,17 +1,21 @@
 """Answer a stream of observations: each about the state of the one before, which a thread improves meanwhile."""
 
 import atexit
+import itertools
 import logging
 import threading
 from dataclasses import dataclass
 
 import torch
 
+from softtissue_estimator.device import one_thread
 from softtissue_estimator.elastic_solver import Belief, Guide, Solver, guide_of
 from softtissue_estimator.latest_worker import LatestWorker
 
 _log = logging.getLogger(__name__)
 _REVIVED_SHARE = 1e-3
+_DOUBT_EVERY = 4  # steps of the thread, another Poisson's ratio is tried
+_CLEARLY_MORE = 1.0  # logarithm of the evidence's ratio from which it is believed
 _START_UPDATES = 2  # of the variances, of all loads; the thread makes more
 _STOP_TIMEOUT_S = 3.0  # several times what a step takes
 
@@ -24,7 +28,8 @@ class _Task:
     belief: Belief
     variances: torch.Tensor
     epoch: int
-    started: bool
+    guarded: bool
+    ratio: int | None
 
 
 class ElasticTracker:
@@ -32,30 +37,39 @@ class ElasticTracker:
 
     An answer takes milliseconds, because the organ is linear about its latest known state and few loads are relevant.
     Between answers a thread makes the organ linear about the newest one, with all loads, and so catches up with a
-    moving organ in a fraction of a second. When the organ stands still the answer becomes that of `Solver.solve`.
+    moving organ in a fraction of a second. Of an organ that stands still the thread makes further steps where
+    `Solver.solve` ends.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._guide: Guide | None = None
+        self._rigid = False  # whether the guide is about a rigid motion
+        self._ratio: int | None = None  # survives a loss of track: the organ stays the same
         self._epoch = 0
+        self._doubts = itertools.cycle([0] * (_DOUBT_EVERY - 1) + [1] + [0] * (_DOUBT_EVERY - 1) + [-1])
         self._closed = False
         self._worker: LatestWorker[_Task] | None = None
 
     def answer(self, solver: Solver) -> Belief:
         """Explain the newest observation."""
         with self._lock:
-            guide, epoch = self._guide, self._epoch
+            guide, rigid, epoch, ratio = self._guide, self._rigid, self._epoch, self._ratio
         belief = None if guide is None else solver.follow(guide)
-        started = belief is None or guide is None
+        started = None
         if belief is None or guide is None:
             belief = solver.start(_START_UPDATES)
-            variances = belief.amplitudes.variances
+            variances, rigid = belief.amplitudes.variances, True
+            # What comes before the thread has made a step follows this answer, which takes long.
+            started = guide_of(belief)
         else:
             # Loads that have become irrelevant get a little back, so that a new one can be found.
-            variances = guide.all_variances.clamp_min(_REVIVED_SHARE * float(guide.all_variances.max()))
-        task = _Task(solver, belief, variances, epoch, started)
+            floor = _REVIVED_SHARE * float(guide.all_variances.max())
+            variances = guide.all_variances.clamp_min(floor)
+        task = _Task(solver, belief, variances, epoch, not rigid, ratio)
         with self._lock:
+            if started is not None and epoch == self._epoch:
+                self._guide, self._rigid = started, True
             if self._worker is None and not self._closed:
                 self._worker = LatestWorker(self._improve, self._on_crash)
                 # An interpreter that ends while torch works in a thread aborts.
@@ -67,7 +81,7 @@ class ElasticTracker:
     def forget(self) -> None:
         """Forget all observations."""
         with self._lock:
-            self._guide = None
+            self._guide = self._ratio = None
             self._epoch += 1
 
     def close(self) -> None:
@@ -81,10 +95,23 @@ class ElasticTracker:
             worker.stop(_STOP_TIMEOUT_S)
 
     def _improve(self, task: _Task) -> None:
-        better = guide_of(task.solver.improve(task.belief, task.variances, guarded=not task.started))
+        with one_thread():
+            better = self._improved(task)
         with self._lock:
             if task.epoch == self._epoch:
-                self._guide = better
+                self._guide, self._rigid, self._ratio = guide_of(better), False, better.ratio
+
+    def _improved(self, task: _Task) -> Belief:
+        better = self._step(task, task.ratio)
+        doubt = next(self._doubts)
+        if doubt and task.guarded and better.ratio + doubt in task.solver.ratios:
+            other = self._step(task, better.ratio + doubt)
+            if other.log_evidence > better.log_evidence + _CLEARLY_MORE:
+                better = other
+        return better
+
+    def _step(self, task: _Task, ratio: int | None) -> Belief:
+        return task.solver.improve(task.belief, task.variances, guarded=task.guarded, ratio=ratio)
 
     def _on_crash(self, error: BaseException) -> None:
         _log.error("the elastic posterior was not improved between frames: %s", error)

@@ -24,7 +24,7 @@ from softtissue_estimator.hybrid_input import (
     remainder,
     sample_field,
 )
-from softtissue_estimator.hybrid_posterior import PosteriorReader, make_reader
+from softtissue_estimator.hybrid_posterior import PosteriorReader, make_reader, seen_misfit
 from softtissue_estimator.mesh import FloatArray
 from softtissue_estimator.network_input import OrganChannels, cached_channels
 from softtissue_estimator.observation import Observation
@@ -105,7 +105,7 @@ class HybridEstimator(Estimator):
         grid = hybrid_grid(organ.surface, self._spec)
         channels = cached_channels(organ, grid)
         cells = posterior_cells(channels.signed_distance, grid.spacing)
-        reader = make_reader(elastic, organ.surface_lookup, grid.points()[cells.numpy()])
+        reader = make_reader(elastic, grid.points()[cells.numpy()])
         query = _positions(grid.index(organ.query_points), self._device)
         self._prepared = _Prepared(channels.to(self._device), cells.to(self._device), reader, query)
         self._elastic.close()
@@ -138,7 +138,7 @@ class HybridEstimator(Estimator):
 
     def _inputs(self, elastic: ElasticEstimate, prepared: _Prepared) -> Tensor:
         mean, sigma = prepared.reader.on_grid(elastic)
-        seen = prepared.reader.misfit(elastic)
+        seen = seen_misfit(elastic)
         return assemble_hybrid_input(
             prepared.channels,
             prepared.cells,

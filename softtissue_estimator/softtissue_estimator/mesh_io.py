@@ -1,25 +1,38 @@
-"""Read surface meshes as users have them: STL, PLY, OBJ, and VTK's legacy and XML formats."""
+"""Read meshes as users have them: STL, PLY, OBJ, VTK's legacy and XML formats, and Gmsh's MSH."""
 
-import logging
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import igl
 import numpy as np
-import trimesh
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from softtissue_estimator.cell_surface import CellBlock, check_cells, surface_of_cells
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.mesh import FloatArray, IntArray, SurfaceMesh, face_areas, sum_by_index
+from softtissue_estimator.mesh import FloatArray, IntArray, SurfaceMesh
+from softtissue_estimator.msh_files import MSH_FORMATS, read_msh
+from softtissue_estimator.obj_files import read_obj
+from softtissue_estimator.trimesh_files import read_with_trimesh
+from softtissue_estimator.vtk_files import VTK_FORMATS, read_vtk
 
-TRIMESH_FORMATS = (".stl", ".ply", ".obj")
-VTK_FORMATS = (".vtk", ".vtp", ".vtu")
+MESH_FORMATS = (".stl", ".ply", ".obj", *VTK_FORMATS, *MSH_FORMATS)
 
-_log = logging.getLogger(__name__)
-_SLIVER_VOLUME_SHARE = 1e-3
-_FLAT = 1e-5  # volume over area^1.5; a sphere has 0.094
+_SAME_PLACE = 1e-7  # of the largest extent
+# How files begin, what that is, and the extension it should have.
+_BEGINNINGS = (
+    (b"solid", "an STL file", ".stl"),
+    (b"ply", "a PLY file", ".ply"),
+    (b"# vtk DataFile", "a legacy VTK file", ".vtk"),
+    (b'type="PolyData"', "PolyData of VTK", ".vtp"),
+    (b'type="UnstructuredGrid"', "an UnstructuredGrid of VTK", ".vtu"),
+    (b"$MeshFormat", "an MSH file of Gmsh", ".msh"),
+    (b"version https://git-lfs", "a Git LFS pointer instead of the file itself", ""),
+    (b"PK", "a ZIP archive", ""),
+    (b"\x1f\x8b", "a gzip archive", ""),
+    (b"<!DOCTYPE", "a web page", ""),
+    (b"<html", "a web page", ""),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +50,10 @@ class StoredMesh:
     mesh: SurfaceMesh
     vertex_of_stored: IntArray
 
+    def with_faces(self, faces: IntArray) -> StoredMesh:
+        """Return the mesh with other faces of the same vertices; those that none uses are dropped."""
+        return _keep_used(self.mesh.vertices, faces, self.vertex_of_stored)
+
 
 def read_mesh(path: Path, unit_m: float) -> StoredMesh:
     """Read a triangle surface.
@@ -44,8 +61,8 @@ def read_mesh(path: Path, unit_m: float) -> StoredMesh:
     Parameters
     ----------
     path : Path
-        STL, PLY or OBJ; VTK, VTP or VTU if the VTK library is installed. Polygons are cut into triangles; of
-        volume elements the outer surface is taken.
+        STL, PLY or OBJ; VTK, VTP or VTU if the VTK library is installed; MSH if meshio is. Polygons are cut into
+        triangles; of volume elements the outer surface is taken (`surface_of_cells`).
     unit_m : float
         Length of the file's unit, m.
 
@@ -55,149 +72,52 @@ def read_mesh(path: Path, unit_m: float) -> StoredMesh:
         If the file is missing, of another format, damaged or holds no triangle.
     """
     if not path.is_file():
-        raise MeshError(f"mesh {path}: expected a file, found none")
+        raise MeshError(f"mesh {path}: expected a file, found {'a folder' if path.is_dir() else 'none'}")
     kind = path.suffix.lower()
-    if kind in TRIMESH_FORMATS:
-        vertices, faces, stored = _read_with_trimesh(path)
-    elif kind in VTK_FORMATS:
-        vertices, faces, stored = _read_with_vtk(path)
-    else:
-        known = ", ".join(TRIMESH_FORMATS + VTK_FORMATS)
-        raise MeshError(f"mesh {path}: expected one of {known}, got {kind or 'no extension'}")
-    if len(faces) == 0:
-        raise MeshError(f"mesh {path}: expected triangles, got {len(vertices)} vertices without any")
+    if kind not in MESH_FORMATS:
+        raise MeshError(
+            f"mesh {path}: expected one of {', '.join(MESH_FORMATS)}, got {kind or 'no extension'}"
+        )
     try:
-        return _merge(SurfaceMesh(vertices * unit_m, faces), stored)
+        if path.stat().st_size == 0:
+            raise MeshError("expected a mesh, got an empty file")
+        if kind in VTK_FORMATS:
+            vertices, blocks = read_vtk(path)
+        elif kind in MSH_FORMATS:
+            vertices, blocks = read_msh(path)
+        else:
+            vertices, blocks = read_obj(path) if kind == ".obj" else read_with_trimesh(path)
+        return _surface(vertices * unit_m, blocks)
     except MeshError as error:
-        raise MeshError(f"mesh {path}: {error}") from error
+        raise MeshError(f"mesh {path}: {_other_format(path) or error}") from error
+    except OSError as error:
+        raise MeshError(f"mesh {path}: expected a file that can be read, got '{error.strerror}'") from error
 
 
-def _read_with_trimesh(path: Path) -> tuple[FloatArray, IntArray, IntArray]:
-    try:
-        loaded: Any = trimesh.load_mesh(path, process=False, maintain_order=True)
-        vertices = np.asarray(loaded.vertices, dtype=np.float64)
-        faces = np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3)
-    except Exception as error:
-        # Parsers of damaged files raise whatever they stumble over: struct.error, IndexError, KeyError, ...
-        raise MeshError(
-            f"mesh {path}: expected a {path.suffix[1:].upper()} file, got one that cannot be read "
-            f"({type(error).__name__}: {error})"
-        ) from error
-    return vertices, faces, np.arange(len(vertices))
-
-
-def _read_with_vtk(path: Path) -> tuple[FloatArray, IntArray, IntArray]:
-    try:
-        from vtkmodules.util import numpy_support
-        from vtkmodules.vtkFiltersCore import vtkTriangleFilter
-        from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
-    except ImportError as error:
-        raise MeshError(
-            f"mesh {path}: {path.suffix} files need the VTK library, which is not installed (pip install vtk)"
-        ) from error
-    to_numpy: Any = numpy_support.vtk_to_numpy
-    grid = _vtk_data(path)
-    # Polygons pass unchanged; of volume elements this leaves the outside. It may renumber points, hence the ids.
-    outside = vtkGeometryFilter()
-    outside.SetPassThroughPointIds(True)
-    outside.SetInputData(grid)
-    triangles = vtkTriangleFilter()
-    triangles.PassLinesOff()
-    triangles.PassVertsOff()
-    triangles.SetInputConnection(outside.GetOutputPort())
-    triangles.Update()
-    surface = triangles.GetOutput()
-    if surface.GetNumberOfPolys() == 0:
-        raise MeshError(f"mesh {path}: expected triangles, got {grid.GetNumberOfPoints()} points without any")
-    vertices = to_numpy(surface.GetPoints().GetData()).astype(np.float64)
-    faces = to_numpy(surface.GetPolys().GetConnectivityArray()).astype(np.int64).reshape(-1, 3)
-    stored = np.full(grid.GetNumberOfPoints(), -1, dtype=np.int64)
-    ids = surface.GetPointData().GetArray("vtkOriginalPointIds")
-    original = np.arange(len(vertices)) if ids is None else to_numpy(ids).astype(np.int64)
-    stored[original] = np.arange(len(vertices))
-    return vertices, faces, stored
-
-
-def _vtk_data(path: Path) -> Any:
-    """Read a data set; VTK prints errors instead of raising them, so they are taken from where it prints."""
-    from vtkmodules.vtkCommonCore import vtkLogger, vtkOutputWindow, vtkStringOutputWindow
-    from vtkmodules.vtkIOLegacy import vtkDataSetReader
-    from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLUnstructuredGridReader
-
-    readers = {".vtk": vtkDataSetReader, ".vtp": vtkXMLPolyDataReader, ".vtu": vtkXMLUnstructuredGridReader}
-    reader: Any = readers[path.suffix.lower()]()
-    previous, capture = vtkOutputWindow.GetInstance(), vtkStringOutputWindow()
-    vtkOutputWindow.SetInstance(capture)
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
-    try:
-        reader.SetFileName(str(path))
-        reader.Update()
-        data = reader.GetOutput()
-    finally:
-        vtkOutputWindow.SetInstance(previous)
-        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_INFO)
-    printed = capture.GetOutput()
-    if "ERR" in printed.upper() or not hasattr(data, "GetPoints") or data.GetNumberOfPoints() == 0:
-        _log.debug("VTK about %s: %s", path, printed)
-        raise MeshError(
-            f"mesh {path}: expected PolyData or UnstructuredGrid with points, got a file that VTK cannot read as such"
-        )
-    return data
-
-
-def _merge(mesh: SurfaceMesh, stored: IntArray) -> StoredMesh:
-    """Merge equal vertices, keeping the order of their first appearance, and drop what has no area."""
-    extent = float(np.ptp(mesh.vertices, axis=0).max())
-    if not extent > 0.0:
+def _surface(vertices: FloatArray, blocks: Sequence[CellBlock]) -> StoredMesh:
+    """Merge vertices in one place, keeping the first of each, and drop what has no area."""
+    check_cells(blocks, len(vertices))
+    used = np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
+    if not np.isfinite(vertices[used]).all():
+        bad = int((~np.isfinite(vertices[used]).all(axis=1)).sum())
+        raise MeshError(f"expected finite coordinates, got {bad} vertices with NaN or inf")
+    extent = float(np.ptp(vertices[used], axis=0).max())
+    if not 0.0 < extent < np.inf:
         raise MeshError("expected a surface with an extent, got all vertices in one place")
-    rounded = np.round(mesh.vertices / (1e-7 * extent)).astype(np.int64)
-    _, first, group = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-    faces = first[group.reshape(-1)][mesh.faces]
+    # Vertices of no cell may be anywhere, also at NaN.
+    place = np.arange(len(vertices))
+    _, first, group = np.unique(
+        np.round(vertices[used] / (_SAME_PLACE * extent)) + 0.0,
+        axis=0,
+        return_index=True,
+        return_inverse=True,
+    )
+    place[used] = used[first][group.reshape(-1)]
+    faces = surface_of_cells(vertices, [CellBlock(block.kind, place[block.nodes]) for block in blocks])
     distinct = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    faces = faces[distinct]
-    if len(faces) == 0:
-        raise MeshError(f"expected triangles with an area, got none among {len(mesh.faces)}")
-    return _keep_used(mesh.vertices, faces, np.where(stored >= 0, first[group.reshape(-1)][stored], -1))
-
-
-def clean_organ_surface(stored: StoredMesh, name: str) -> StoredMesh:
-    """Repair what scans and their exporters commonly leave in an organ's surface.
-
-    Bodies with hardly any volume beside the large one are dropped, with a warning; faces that disagree with their
-    neighbours are turned; a surface wound inward is turned as a whole. Holes and self-intersections stay.
-
-    Parameters
-    ----------
-    stored : StoredMesh
-    name : str
-        What to call the mesh in warnings.
-
-    Raises
-    ------
-    MeshError
-        If no body encloses a volume.
-    """
-    mesh = stored.mesh
-    body = _body_of_vertex(mesh)[mesh.faces[:, 0]]
-    faces = mesh.faces
-    if not _is_consistent(faces, len(mesh.vertices)):
-        _log.warning("mesh %s: neighbouring faces are wound in opposite directions and are turned", name)
-        faces = np.asarray(igl.bfs_orient(faces)[0], dtype=np.int64)
-        inward = _body_volumes(mesh.vertices, faces, body) < 0.0
-        faces = np.where(inward[body][:, None], faces[:, ::-1], faces)
-    volumes = _body_volumes(mesh.vertices, faces, body)
-    largest = float(np.abs(volumes).max())
-    if largest < _FLAT * float(face_areas(mesh).sum()) ** 1.5:
-        raise MeshError(f"mesh {name}: expected a surface that encloses a volume, got {1e6 * largest:.3g} ml")
-    keep = np.abs(volumes) >= _SLIVER_VOLUME_SHARE * largest
-    if not keep.all():
-        _log.warning(
-            "mesh %s: %d bodies without volume beside the organ are ignored", name, int((~keep).sum())
-        )
-    if float(volumes[keep].sum()) < 0.0:
-        _log.info("mesh %s: wound inward, turned outward", name)
-        faces = faces[:, ::-1]
-    return _keep_used(mesh.vertices, faces[keep[body]], stored.vertex_of_stored)
+    if not distinct.any():
+        raise MeshError(f"expected triangles with an area, got none among {len(faces)}")
+    return _keep_used(vertices, faces[distinct], place)
 
 
 def _keep_used(vertices: FloatArray, faces: IntArray, vertex_of_stored: IntArray) -> StoredMesh:
@@ -209,22 +129,13 @@ def _keep_used(vertices: FloatArray, faces: IntArray, vertex_of_stored: IntArray
     return StoredMesh(SurfaceMesh(vertices[used], compact.reshape(-1, 3)), renumbered)
 
 
-def _body_of_vertex(mesh: SurfaceMesh) -> IntArray:
-    """Tell which connected part of the surface each vertex belongs to, (n,)."""
-    start, end = mesh.faces.ravel(), np.roll(mesh.faces, 1, axis=1).ravel()
-    size = len(mesh.vertices)
-    graph = coo_array((np.ones(len(start), dtype=np.int8), (start, end)), shape=(size, size))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
-
-
-def _body_volumes(vertices: FloatArray, faces: IntArray, body: IntArray) -> FloatArray:
-    """Signed volume of every body, m^3; `body` numbers the bodies of the faces."""
-    corners = (vertices - vertices.mean(axis=0))[faces]
-    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
-    return sum_by_index(body, volume, int(body.max()) + 1)
-
-
-def _is_consistent(faces: IntArray, vertex_count: int) -> bool:
-    """Tell whether no directed edge occurs twice, that is, whether neighbouring faces agree."""
-    directed = faces.ravel() * vertex_count + np.roll(faces, -1, axis=1).ravel()
-    return len(np.unique(directed)) == len(directed)
+def _other_format(path: Path) -> str:
+    """Say what a file is if it is clearly not what its name says."""
+    with path.open("rb") as file:
+        start = file.read(400).lstrip()
+    own = path.suffix.lower()
+    for begin, what, suffix in _BEGINNINGS:
+        if start.startswith(begin) or (begin.startswith(b"type") and b"<VTKFile" in start and begin in start):
+            rename = f"; its name should end in {suffix}" if suffix else ""
+            return "" if suffix == own else f"expected {own[1:].upper()}, got {what}{rename}"
+    return ""

@@ -1,14 +1,34 @@
 """What was seen of the surface, and the checks of what arrives."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import BoolArray, FloatArray
+from softtissue_estimator.mesh import BoolArray, FloatArray, IntArray
 from softtissue_estimator.organ import Organ
+from softtissue_estimator.surface_lookup import SurfaceLookup
+
+ScalarT = TypeVar("ScalarT", bound=np.generic)
+
+
+@dataclass(frozen=True, eq=False)
+class LocatedPoints:
+    """Points found on a surface.
+
+    Parameters
+    ----------
+    lookup : SurfaceLookup
+        Of that surface.
+    sample : (n,) int64
+        Its sample nearest to each point.
+    """
+
+    lookup: SurfaceLookup
+    sample: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,11 +43,20 @@ class Observation:
         Intraoperative minus preoperative position.
     sigma : (n,) float64
         Standard deviation of each component of `displacement`.
+    located : LocatedPoints, optional
+        Where on the organ's surface the reference points are, if that is known already.
     """
 
     reference: FloatArray
     displacement: FloatArray
     sigma: FloatArray
+    located: LocatedPoints | None = None
+
+    def nearest_sample(self, lookup: SurfaceLookup) -> IntArray:
+        """Sample of a surface nearest to each reference point, (n,); -1 where the surface is out of reach."""
+        if self.located is not None and self.located.lookup is lookup:
+            return self.located.sample
+        return lookup.nearest_sample(self.reference)
 
 
 def make_observation(
@@ -68,18 +97,32 @@ def make_observation(
             f"correspondences: expected one reference for each of {len(now)} points, got {len(before)}"
         )
     spread = _as_sigma(config.default_sigma_m if sigma is None else sigma, len(now))
-    with np.errstate(invalid="ignore"):  # infinity minus infinity is found out in the next line
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite has no square below the limit
         displacement = now - before
-        finite = np.isfinite(displacement @ np.ones(3)) & np.isfinite(spread) & (spread > 0.0)
-    near_now = np.einsum("nd,nd->n", displacement, displacement) <= config.max_displacement_m**2
-    on_surface = np.zeros(len(now), dtype=np.bool_)
-    candidate = finite & near_now
-    on_surface[candidate] = (
-        organ.surface_lookup.distance(before[candidate]) <= config.max_reference_distance_m
+        near_now = np.square(displacement) @ np.ones(3) <= config.max_displacement_m**2
+    candidate = near_now & (spread > 0.0) & (spread < np.inf)
+    lookup = organ.surface_lookup
+    sample = lookup.nearest_sample(_rows(before, candidate), config.max_reference_distance_m)
+    on_surface = sample >= 0
+    usable = candidate
+    if not on_surface.all():
+        usable = candidate.copy()
+        usable[candidate] = on_surface
+    count = int(on_surface.sum())
+    if count < config.minimum_points:
+        raise _too_few(count, displacement, spread, near_now, config)
+    observation = Observation(
+        _rows(before, usable),
+        _rows(displacement, usable),
+        _rows(spread, usable),
+        LocatedPoints(lookup, _rows(sample, on_surface)),
     )
-    _require_enough(on_surface, finite, near_now, config)
-    observation = Observation(before[on_surface], displacement[on_surface], spread[on_surface])
-    return observation, int(len(now) - on_surface.sum())
+    return observation, len(now) - count
+
+
+def _rows(values: NDArray[ScalarT], kept: BoolArray) -> NDArray[ScalarT]:
+    """Copy the rows that are kept; several times faster than indexing, and again where all are."""
+    return values.copy() if kept.all() else values.compress(kept, axis=0)
 
 
 def _as_points(values: Any, what: str) -> FloatArray:
@@ -105,17 +148,16 @@ def _as_sigma(values: Any, count: int) -> FloatArray:
     return array
 
 
-def _require_enough(
-    usable: BoolArray, finite: BoolArray, near_now: BoolArray, config: EstimatorConfig
-) -> None:
-    if int(usable.sum()) >= config.minimum_points:
-        return
+def _too_few(
+    usable: int, displacement: FloatArray, spread: FloatArray, near_now: BoolArray, config: EstimatorConfig
+) -> InvalidInputError:
+    finite = np.isfinite(displacement).all(axis=1) & np.isfinite(spread) & (spread > 0.0)
     not_finite = int((~finite).sum())
     moved = int((finite & ~near_now).sum())
-    off_surface = int((finite & near_now & ~usable).sum())
-    raise InvalidInputError(
-        f"correspondences: expected at least {config.minimum_points} usable ones, got {int(usable.sum())} of "
-        f"{len(usable)} ({not_finite} not finite or without a positive standard deviation, {moved} moved more "
+    off_surface = len(finite) - not_finite - moved - usable
+    return InvalidInputError(
+        f"correspondences: expected at least {config.minimum_points} usable ones, got {usable} of "
+        f"{len(finite)} ({not_finite} not finite or without a positive standard deviation, {moved} moved more "
         f"than {1e3 * config.max_displacement_m:g} mm, {off_surface} further than "
         f"{1e3 * config.max_reference_distance_m:g} mm from the preoperative surface)"
     )

@@ -16,15 +16,15 @@ from softtissue_estimator.mesh import (
     FloatArray,
     IntArray,
     SurfaceMesh,
-    enclosed_volume,
 )
-from softtissue_estimator.mesh_io import StoredMesh, clean_organ_surface, read_mesh
-from softtissue_estimator.organ_file import UNITS_M, OrganFile, read_organ_file
+from softtissue_estimator.mesh_io import StoredMesh, read_mesh
+from softtissue_estimator.organ_checks import check_place, check_size, mirror_hint
+from softtissue_estimator.organ_file import OrganFile, read_organ_file
 from softtissue_estimator.surface_lookup import SurfaceLookup, build_surface_lookup
+from softtissue_estimator.surface_patch import patch
+from softtissue_estimator.surface_repair import check_closed, clean_organ_surface
 
 _log = logging.getLogger(__name__)
-_SMALLEST_LITRES, _LARGEST_LITRES = 0.01, 20.0
-_STRUCTURE_MARGIN = 0.1  # of the diagonal of the organ's bounding box
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,44 +150,16 @@ def load_organ(folder: Path) -> Organ:
     folder = Path(folder)
     file = read_organ_file(folder)
     stored = clean_organ_surface(read_mesh(file.surface, file.unit_m), str(file.surface))
-    _check_size(stored.mesh, file)
+    check_size(stored.mesh, file.path, file.unit, file.unit_m)
+    check_closed(stored.mesh, str(file.surface))
     structures = tuple(
         Structure(entry.name, entry.kind, read_mesh(entry.mesh, file.unit_m).mesh, entry.colour)
         for entry in file.structures
     )
     for structure in structures:
-        _check_place(structure, stored.mesh, file)
+        check_place(structure.name, structure.mesh, stored.mesh, file.path)
     attached = _attached_vertices(stored, file)
     return make_organ(file.name, file.frame, stored.mesh, structures, attached, folder)
-
-
-def _check_size(surface: SurfaceMesh, file: OrganFile) -> None:
-    litres = 1e3 * enclosed_volume(surface)
-    if _SMALLEST_LITRES <= litres <= _LARGEST_LITRES:
-        return
-    size = " x ".join(f"{length:.3g}" for length in np.ptp(surface.vertices, axis=0))
-    other, other_m = next((name, m) for name, m in UNITS_M.items() if name != file.unit)
-    in_other = litres * (other_m / file.unit_m) ** 3
-    fits = _SMALLEST_LITRES <= in_other <= _LARGEST_LITRES
-    hint = f"; the unit is probably wrong, in {other} it would be {in_other:.3g} litres" if fits else ""
-    raise OrganError(
-        f"{file.path}: expected an organ of {_SMALLEST_LITRES:g} to {_LARGEST_LITRES:g} litres, got "
-        f"{litres:.3g} litres ({size} m) with unit {file.unit}{hint}"
-    )
-
-
-def _check_place(structure: Structure, surface: SurfaceMesh, file: OrganFile) -> None:
-    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-    margin = _STRUCTURE_MARGIN * float(np.linalg.norm(high - low))
-    points = structure.mesh.vertices
-    inside = ((points >= low - margin) & (points <= high + margin)).all(axis=1)
-    if inside.any():
-        return
-    gap = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=1).min()
-    raise OrganError(
-        f"{file.path}, structure {structure.name!r}: expected it inside the organ, got it "
-        f"{1e3 * gap:.0f} mm away from the organ's bounding box"
-    )
 
 
 def _attached_vertices(stored: StoredMesh, file: OrganFile) -> BoolArray:
@@ -199,13 +171,21 @@ def _attached_vertices(stored: StoredMesh, file: OrganFile) -> BoolArray:
         return attached
     if entry.vertices:
         attached[_listed_vertices(stored, entry.vertices, file)] = True
-    for centre, radius in entry.spheres:
-        attached |= np.linalg.norm(vertices - np.array(centre), axis=1) <= radius
+    for i, (centre, radius) in enumerate(entry.spheres):
+        gap = np.linalg.norm(vertices - np.array(centre), axis=1) - radius
+        _check_reached(gap, f"{file.path}, attached.spheres[{i}]")
+        attached |= gap <= 0.0
     if entry.touching is not None:
         mesh, distance = entry.touching
         touching = read_mesh(mesh, file.unit_m).mesh
         squared = igl.point_mesh_squared_distance(vertices, touching.vertices, touching.faces)[0]
-        attached |= np.asarray(squared, dtype=np.float64) <= distance**2
+        gap = np.sqrt(np.asarray(squared, dtype=np.float64)) - distance
+        where = f"{file.path}, attached.touching"
+        _check_reached(gap, where, mirror_hint(stored.mesh, touching.vertices, 0.0))
+        attached |= gap <= 0.0
+    if entry.patch is not None:
+        centre, share = entry.patch
+        attached |= patch(stored.mesh, np.array(centre), share)
     if not attached.any() or attached.all():
         got = "all of them" if attached.any() else "none"
         raise OrganError(
@@ -214,18 +194,34 @@ def _attached_vertices(stored: StoredMesh, file: OrganFile) -> BoolArray:
     return attached
 
 
+def _check_reached(gap_m: FloatArray, where: str, hint: str = "") -> None:
+    """Raise OrganError unless something of the surface is within reach; (n,) distances beyond it, m."""
+    if gap_m.min() > 0.0:
+        raise OrganError(
+            f"{where}: expected surface vertices within its reach, got none, the nearest "
+            f"{1e3 * gap_m.min():.3g} mm beyond it{hint}"
+        )
+
+
 def _listed_vertices(stored: StoredMesh, listed: tuple[int, ...], file: OrganFile) -> IntArray:
     if file.surface.suffix.lower() == ".stl":
         raise OrganError(
             f"{file.path}, attached.vertices: expected a surface whose file numbers its vertices, got an STL; "
-            "use spheres, touching, or a PLY, OBJ or VTK surface"
+            "use spheres, touching, or a surface of another format"
         )
     index = np.array(listed, dtype=np.int64)
     count = len(stored.vertex_of_stored)
     if index.min() < 0 or index.max() >= count:
         raise OrganError(
-            f"{file.path}, attached.vertices: expected indices from 0 to {count - 1}, "
-            f"got {index.min()} to {index.max()}"
+            f"{file.path}, attached.vertices: expected indices from 0 to {count - 1} (the first vertex of the file "
+            f"is 0), got {index.min()} to {index.max()}"
         )
     found = stored.vertex_of_stored[index]
+    if (found < 0).any():
+        _log.info(
+            "%s: %d of the %d attached vertices are not on the surface",
+            file.path,
+            int((found < 0).sum()),
+            len(found),
+        )
     return found[found >= 0]

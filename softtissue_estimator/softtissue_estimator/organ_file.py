@@ -37,11 +37,14 @@ class AttachedEntry:
         m.
     touching : (mesh, distance) or None
         A mesh and how close to it, m, the surface counts as attached.
+    patch : (centre, share) or None
+        A point, m, and the share of the surface's area that is attached around it.
     """
 
     vertices: tuple[int, ...]
     spheres: tuple[tuple[tuple[float, float, float], float], ...]
     touching: tuple[Path, float] | None
+    patch: tuple[tuple[float, float, float], float] | None = None
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,9 @@ def read_organ_file(folder: Path) -> OrganFile:
         raise OrganError(f"organ {folder}: expected a folder with {FILE_NAME}, found none")
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.MarkedYAMLError as error:
+        line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise OrganError(f"{path}: expected YAML, got a mistake{line}: {error.problem}") from error
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise OrganError(f"{path}: expected YAML, got {' '.join(str(error).split())}") from error
     top = _Entry(path, "", content, {"name", "frame", "unit", "surface", "structures", "attached"})
@@ -115,7 +121,7 @@ def _structure(path: Path, index: int, content: Any) -> StructureEntry:
 def _attached(path: Path, content: Any, unit_m: float) -> AttachedEntry | None:
     if content is None:
         return None
-    entry = _Entry(path, "attached", content, {"vertices", "spheres", "touching"})
+    entry = _Entry(path, "attached", content, {"vertices", "spheres", "touching", "patch"})
     spheres = []
     for i, item in enumerate(entry.items("spheres")):
         sphere = _Entry(path, f"attached.spheres[{i}]", item, {"centre", "radius"})
@@ -126,7 +132,17 @@ def _attached(path: Path, content: Any, unit_m: float) -> AttachedEntry | None:
     if entry.value("touching") is not None:
         touch = _Entry(path, "attached.touching", entry.value("touching"), {"mesh", "distance"})
         touching = (touch.file("mesh"), touch.positive("distance") * unit_m)
-    return AttachedEntry(_vertex_indices(entry), tuple(spheres), touching)
+    patch = None
+    if entry.value("patch") is not None:
+        piece = _Entry(path, "attached.patch", entry.value("patch"), {"centre", "share"})
+        x, y, z = piece.numbers("centre", piece.value("centre"), (3,))
+        share = piece.positive("share")
+        if share >= 1.0:
+            raise OrganError(
+                f"{piece.where('share')}: expected a share of the surface below 1, got {share:g}"
+            )
+        patch = ((x * unit_m, y * unit_m, z * unit_m), share)
+    return AttachedEntry(_vertex_indices(entry), tuple(spheres), touching, patch)
 
 
 def _vertex_indices(entry: "_Entry") -> tuple[int, ...]:
@@ -205,7 +221,9 @@ class _Entry:
         return [float(v) for v in value]
 
     def positive(self, key: str) -> float:
-        (number,) = self.numbers(key, [self.value(key)], (1,))
+        value = self.value(key)
+        number = self.numbers(key, [value], (1,))[0] if isinstance(value, int | float) else 0.0
         if not number > 0.0:
-            raise OrganError(f"{self.where(key)}: expected a positive number, got {number}")
+            got = "nothing" if value is None else repr(value)
+            raise OrganError(f"{self.where(key)}: expected a positive number, got {got}")
         return number

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csc_array
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.mesh import FloatArray, IntArray, sum_by_index
@@ -42,28 +43,32 @@ def average_patches(observation: Observation, lookup: SurfaceLookup) -> SeenPatc
     InvalidInputError
         If a point is out of the surface's reach.
     """
-    sample = lookup.nearest_sample(observation.reference)
+    sample = observation.nearest_sample(lookup)
     if (sample < 0).any():
         raise InvalidInputError(
             f"observation: expected reference points near the preoperative surface, got {int((sample < 0).sum())} "
             f"of {len(sample)} out of reach"
         )
-    patch = lookup.patch[sample]
-    weight = np.maximum(observation.sigma, _SMALLEST_SIGMA_M) ** -2.0
+    patch = lookup.patch.take(sample)
     count = len(lookup.patch_areas)
-    values = np.concatenate([observation.reference, observation.displacement], axis=1)
-    total, means = _weighted_means(patch, weight, values, count)
+    weight = 1.0 / np.square(np.maximum(observation.sigma, _SMALLEST_SIGMA_M))
+    moved = observation.displacement
+    robust = weight
+    total, mean = _weighted_means(patch, weight, moved, count)
+    deviation = _deviation(moved, mean, patch, weight)
     # The scatter within patches tells gross outliers from noise.
-    deviation = np.linalg.norm(observation.displacement - means[patch, 3:], axis=1) * np.sqrt(weight)
-    limit = _OUTLIER_FACTOR * max(1.0, float(np.median(deviation)))
+    limit = _OUTLIER_FACTOR
+    if deviation.max() > limit:
+        limit *= max(1.0, float(np.median(deviation)))
     for _ in range(2):
         if deviation.max() <= limit:
             break
         robust = weight / (1.0 + (deviation / limit) ** 4)
-        total, means = _weighted_means(patch, robust, values, count)
-        deviation = np.linalg.norm(observation.displacement - means[patch, 3:], axis=1) * np.sqrt(weight)
+        total, mean = _weighted_means(patch, robust, moved, count)
+        deviation = _deviation(moved, mean, patch, weight)
+    _, place = _weighted_means(patch, robust, observation.reference, count)
     seen = total > 0.0
-    return SeenPatches(means[seen, :3], means[seen, 3:], total[seen])
+    return SeenPatches(place[seen], mean[seen], total[seen])
 
 
 def student_weights(residual: FloatArray, precision: FloatArray) -> FloatArray:
@@ -79,7 +84,16 @@ def student_weights(residual: FloatArray, precision: FloatArray) -> FloatArray:
 def _weighted_means(
     group: IntArray, weight: FloatArray, values: FloatArray, count: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Sum of the weights and weighted mean of the values (n, k) of every group, (count,) and (count, k)."""
+    """Sum of the weights and weighted mean of the values (n, 3) of every group, (count,) and (count, 3)."""
+    # One nonzero a column: the product runs through the points once, as they lie in memory.
+    spread = csc_array((weight, group, np.arange(len(group) + 1)), shape=(count, len(group)))
     total = sum_by_index(group, weight, count)
-    sums = np.column_stack([sum_by_index(group, weight * column, count) for column in values.T])
-    return total, sums / np.maximum(total, 1e-300)[:, None]
+    return total, (spread @ values) / np.maximum(total, 1e-300)[:, None]
+
+
+def _deviation(values: FloatArray, mean: FloatArray, group: IntArray, weight: FloatArray) -> FloatArray:
+    """Distance of each of the values (n, 3) to its group's mean, over the standard deviation, (n,)."""
+    offset = mean.take(group, axis=0)
+    np.subtract(values, offset, out=offset)
+    np.square(offset, out=offset)
+    return np.asarray(np.sqrt((offset @ np.ones(3)) * weight))

@@ -13,7 +13,6 @@ from scipy.ndimage import distance_transform_edt
 
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.mesh import (
-    BoolArray,
     FloatArray,
     IntArray,
     SurfaceMesh,
@@ -26,6 +25,7 @@ CELL_M = 0.0025
 REACH_M = 0.03
 PATCH_CELLS = 2
 _MAX_CELLS = 60_000_000
+_CELL_DIAGONAL_M = 1.001 * 3.0**0.5 * CELL_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +38,8 @@ class SurfaceLookup:
         Lower corner of the table.
     nearest : (X, Y, Z) int32
         Sample nearest to each cell; -1 further than `REACH_M` from the surface.
+    cell_distance : (X, Y, Z) float32 m
+        From the centre of each cell to that of the cell with this sample.
     samples : (s, 3) m
     patch : (s,) int64
         Which small patch of surface (a cell of 5 mm) each sample belongs to.
@@ -47,28 +49,49 @@ class SurfaceLookup:
 
     origin: FloatArray
     nearest: NDArray[np.int32]
+    cell_distance: NDArray[np.float32]
     samples: FloatArray
     patch: IntArray
     patch_areas: FloatArray
 
-    def nearest_sample(self, points: FloatArray) -> IntArray:
-        """Sample nearest to each of (n, 3) finite points (m), (n,); -1 where the surface is out of reach."""
-        # One row a coordinate: comparisons along rows of three are several times slower.
-        x, y, z = np.ascontiguousarray(((points - self.origin) * (1.0 / CELL_M)).T)
-        size = self.nearest.shape
-        inside: BoolArray = (
-            (x >= 0.0) & (x < size[0]) & (y >= 0.0) & (y < size[1]) & (z >= 0.0) & (z < size[2])
-        )
-        if not inside.all():
-            x, y, z = (np.where(inside, coordinate, 0.0) for coordinate in (x, y, z))
-        flat = (x.astype(np.int64) * size[1] + y.astype(np.int64)) * size[2] + z.astype(np.int64)
-        return np.where(inside, self.nearest.ravel()[flat], -1).astype(np.int64)
+    def nearest_sample(self, points: FloatArray, within_m: float = np.inf) -> IntArray:
+        """Find the sample nearest to each of (n, 3) finite points (m), (n,).
+
+        -1 where the surface is out of reach, or further than `within_m` from the point.
+        """
+        # One row a coordinate: work along rows of three is several times slower.
+        position = np.subtract(points.T, self.origin[:, None], order="C")
+        position *= 1.0 / CELL_M
+        size = np.array(self.nearest.shape)
+        outside = None
+        if len(points) and not self._covers(position):
+            outside = ((position < 0.0) | (position >= size[:, None])).any(axis=0)
+            position[:, outside] = 0.0
+        x, y, z = position.astype(np.int64)
+        cell = (x * size[1] + y) * size[2] + z
+        sample: IntArray = self.nearest.reshape(-1).take(cell).astype(np.int64)
+        if outside is not None:
+            sample[outside] = -1
+        if np.isfinite(within_m):
+            # Point and sample lie anywhere in their cells: nearer than this nobody has to measure.
+            doubtful = np.flatnonzero(self.cell_distance.reshape(-1).take(cell) > within_m - _CELL_DIAGONAL_M)
+            far = self._squared_distance(points[doubtful], sample[doubtful]) > within_m**2
+            sample[doubtful[far]] = -1
+        return sample
 
     def distance(self, points: FloatArray) -> FloatArray:
         """Distance of each of (n, 3) finite points (m) to the surface, (n,) m; inf where out of reach."""
         found = self.nearest_sample(points)
-        offset = points - self.samples[found]
-        return np.where(found >= 0, np.sqrt(np.einsum("nd,nd->n", offset, offset)), np.inf)
+        return np.where(found >= 0, np.sqrt(self._squared_distance(points, found)), np.inf)
+
+    def _covers(self, position: FloatArray) -> bool:
+        """Whether all positions (3, n), in cells, are in the table."""
+        size = np.array(self.nearest.shape)
+        return bool((position.min(axis=1) >= 0.0).all() and (position.max(axis=1) < size).all())
+
+    def _squared_distance(self, points: FloatArray, sample: IntArray) -> FloatArray:
+        offset = points - self.samples.take(sample, axis=0)
+        return np.asarray(np.einsum("nd,nd->n", offset, offset))
 
 
 def build_surface_lookup(mesh: SurfaceMesh) -> SurfaceLookup:
@@ -99,9 +122,8 @@ def build_surface_lookup(mesh: SurfaceMesh) -> SurfaceLookup:
     patch_cell = np.floor((position - origin) / (PATCH_CELLS * CELL_M)).astype(np.int64)
     _, patch = np.unique(patch_cell, axis=0, return_inverse=True)
     patch = patch.reshape(-1).astype(np.int64)
-    return SurfaceLookup(
-        origin, nearest, position, patch, sum_by_index(patch, sample_area, int(patch.max()) + 1)
-    )
+    areas = sum_by_index(patch, sample_area, int(patch.max()) + 1)
+    return SurfaceLookup(origin, nearest, distance.astype(np.float32), position, patch, areas)
 
 
 def _samples_by_cell(

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from softtissue_estimator.mesh import FloatArray
+from softtissue_estimator.observation import Observation
 from softtissue_estimator.organ import Organ
 
 
-def visible_fraction(organ: Organ, reference: FloatArray) -> float:
+def visible_fraction(organ: Organ, observation: Observation) -> float:
     """Share of the surface area with a tracked point on it.
 
     The surface is divided into patches of about 5 mm; a patch counts as seen if at least one point lies on
@@ -16,9 +16,8 @@ def visible_fraction(organ: Organ, reference: FloatArray) -> float:
     Parameters
     ----------
     organ : Organ
-    reference : (n, 3) float64
-        Preoperative positions of the tracked points, m, organ frame. Points away from the surface see
-        nothing.
+    observation : Observation
+        Points away from the surface see nothing.
 
     Returns
     -------
@@ -26,7 +25,7 @@ def visible_fraction(organ: Organ, reference: FloatArray) -> float:
         0 to 1.
     """
     lookup = organ.surface_lookup
-    sample = lookup.nearest_sample(reference)
+    sample = observation.nearest_sample(lookup)
     seen = np.zeros(len(lookup.patch_areas), dtype=np.bool_)
-    seen[lookup.patch[sample[sample >= 0]]] = True
+    seen[lookup.patch.take(sample[sample >= 0])] = True
     return float(lookup.patch_areas[seen].sum() / lookup.patch_areas.sum())

@@ -90,9 +90,12 @@ class VolumeMesh:
         Outside a tetrahedron they extrapolate linearly, which carries local rotations to points just outside the
         coarse mesh; no weight goes below -0.75, so that a distant point is not flung away.
         """
-        first = np.einsum("nij,nj->ni", self.inverse_edges[tet], points - self.nodes[self.tets[tet, 3]])
+        offset = points - self.nodes.take(self.tets[:, 3].take(tet), axis=0)
+        first = np.einsum("nij,nj->ni", self.inverse_edges.take(tet, axis=0), offset)
         weights = np.column_stack([first, 1.0 - first.sum(axis=1)])
         lowest = weights.min(axis=1, keepdims=True)
+        if lowest.min(initial=0.0) >= -_MOST_EXTRAPOLATION:
+            return weights
         # Blending towards the centroid keeps the sum at one.
         excess = np.maximum(-lowest - _MOST_EXTRAPOLATION, 0.0)
         blend = excess / np.maximum(0.25 - lowest, 1e-12)
@@ -117,9 +120,9 @@ class VolumeMesh:
 
     def interpolation_in(self, points: FloatArray, tet: IntArray) -> csr_array:
         """Do the same for points that lie in the given tetrahedra, (n,)."""
-        rows = np.repeat(np.arange(len(points)), 4)
-        entries = (self.weights(points, tet).ravel(), (rows, self.tets[tet].ravel()))
-        return csr_array(coo_array(entries, shape=(len(points), len(self.nodes))))
+        rows = np.arange(0, 4 * len(points) + 1, 4)
+        entries = (self.weights(points, tet).ravel(), self.tets.take(tet, axis=0).ravel(), rows)
+        return csr_array(entries, shape=(len(points), len(self.nodes)))
 
 
 def tetrahedralise(surface: SurfaceMesh, progress: Callable[[str], None]) -> VolumeMesh:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from estimator.pushed_organ import pushed
 from estimator.shapes import ellipsoid, organ_of, rotation
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.elastic_estimator import ElasticEstimator
@@ -108,6 +109,37 @@ def test_hidden_points_of_a_nonlinear_organ_are_found(truth, estimator):
     errors = np.linalg.norm(displacement - truth.displacement, axis=1)[truth.hidden]
     ratio = np.sqrt((errors**2).mean() / (3.0 * sigma[truth.hidden] ** 2).mean())
     assert 0.2 < ratio < 2.0
+
+
+@pytest.mark.parametrize(
+    ("ratio", "lowest", "highest", "other"), [(0.25, 0.25, 0.30, 0.45), (0.45, 0.40, 0.48, 0.25)]
+)
+def test_poissons_ratio_is_told_by_how_the_organ_bends(held, held_organ, ratio, lowest, highest, other):
+    truth = pushed(held.mesh, ratio)
+    assert 0.01 < np.linalg.norm(truth, axis=1).max() < 0.06
+    observation = seen_of(SURFACE, lambda points: held.interpolation(points) @ truth, sigma=0.0002)
+    at_nodes = held.interpolation(held.mesh.nodes)
+    supposed = loaded(held_organ, EstimatorConfig(poisson_ratio=other, poisson_ratio_sigma=0.0))
+    chosen, kept = (estimator.estimate(observation) for estimator in (held, supposed))
+    assert lowest <= chosen.poisson_ratio <= highest
+    assert kept.poisson_ratio == other
+    errors = [
+        np.linalg.norm(answer.interpolated(held.mesh.nodes, at_nodes)[0] - truth, axis=1).mean()
+        for answer in (chosen, kept)
+    ]
+    assert errors[0] < 0.8 * errors[1]
+
+
+@pytest.mark.parametrize("size", [0.008, 0.012, 0.02])
+def test_what_no_organ_can_follow_does_not_pull_the_hidden_part_along(held, size):
+    """Correspondences in waves as high as the organ is deep: explained closely, they would throw it metres away."""
+
+    def waves(points):
+        x, y, _ = 40.0 * points.T
+        return size * np.column_stack([np.cos(y), np.zeros_like(x), np.sin(x) * np.cos(y)])
+
+    displacement = held.estimate(seen_of(SURFACE, waves)).displacement
+    assert np.linalg.norm(displacement, axis=1).max() < 0.06
 
 
 def test_noise_of_two_millimetres_is_averaged_out(truth, estimator):

@@ -5,6 +5,7 @@ from estimator.shapes import organ_of, sphere
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.observation import make_observation
+from softtissue_estimator.surface_lookup import SurfaceLookup
 
 ORGAN = organ_of(sphere(0.05))
 CONFIG = EstimatorConfig()
@@ -35,6 +36,19 @@ def test_each_kind_of_unusable_point_is_dropped_and_counted():
     observation, rejected = make_observation(points, reference, sigma, ORGAN, CONFIG)
     assert rejected == 8
     np.testing.assert_array_equal(observation.reference, REFERENCE[kept])
+
+
+def test_points_are_located_once_and_only_on_the_surface_they_were_checked_against(monkeypatch):
+    points, reference = REFERENCE + SHIFT, REFERENCE.copy()
+    reference[7] *= 1.3
+    points[7] = reference[7]
+    observation, _ = make_observation(points, reference, None, ORGAN, CONFIG)
+    other = organ_of(sphere(0.05, subdivisions=2)).surface_lookup
+    elsewhere = other.nearest_sample(observation.reference)
+    here = ORGAN.surface_lookup.nearest_sample(observation.reference)
+    np.testing.assert_array_equal(observation.nearest_sample(other), elsewhere)
+    monkeypatch.setattr(SurfaceLookup, "nearest_sample", None)
+    np.testing.assert_array_equal(observation.nearest_sample(ORGAN.surface_lookup), here)
 
 
 def test_limits_come_from_the_configuration():

@@ -27,6 +27,24 @@ def test_far_points_are_out_of_reach():
     assert (LOOKUP.nearest_sample(points) == -1).all()
 
 
+def test_one_far_point_changes_nothing_for_the_others():
+    points = MESH.vertices[:50]
+    mixed = np.insert(points, 20, [1e9, -1e9, 0.0], axis=0)
+    found = LOOKUP.nearest_sample(mixed)
+    assert found[20] == -1
+    np.testing.assert_array_equal(np.delete(found, 20), LOOKUP.nearest_sample(points))
+    assert LOOKUP.nearest_sample(np.empty((0, 3))).shape == (0,)
+
+
+def test_samples_further_than_asked_for_are_not_given():
+    rng = np.random.default_rng(0)
+    points = MESH.vertices * rng.uniform(0.8, 1.3, size=(len(MESH.vertices), 1))
+    anywhere, near = LOOKUP.nearest_sample(points), LOOKUP.nearest_sample(points, 0.01)
+    distance = np.linalg.norm(points - LOOKUP.samples[anywhere], axis=1)
+    assert 0.2 < (distance > 0.01).mean() < 0.8
+    np.testing.assert_array_equal(near, np.where(distance <= 0.01, anywhere, -1))
+
+
 def test_patches_add_up_to_the_surface():
     assert LOOKUP.patch_areas.sum() == pytest.approx(face_areas(MESH).sum())
 

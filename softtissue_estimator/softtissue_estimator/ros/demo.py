@@ -37,6 +37,7 @@ class Options:
     estimators: tuple[str, ...]
     rate: float
     out: Path
+    parameters: tuple[str, ...] = ()
 
 
 def parse(arguments: list[str]) -> Options:
@@ -51,6 +52,13 @@ def parse(arguments: list[str]) -> Options:
     parser.add_argument(
         "--out", type=Path, default=Path("out/demo"), help="folder of the results (default out/demo)"
     )
+    parser.add_argument(
+        "--parameter",
+        action="append",
+        default=[],
+        metavar="NAME:=VALUE",
+        help="parameter of the node, for example tracking:=false; may be repeated",
+    )
     given = parser.parse_args(arguments)
     return Options(
         bag=given.bag or bundled_bag(),
@@ -58,6 +66,7 @@ def parse(arguments: list[str]) -> Options:
         estimators=tuple(given.estimator or available_estimators()),
         rate=given.rate,
         out=given.out,
+        parameters=tuple(given.parameter),
     )
 
 
@@ -139,6 +148,7 @@ def run_estimator(estimator: str, options: Options, snapshot_ns: int) -> dict[st
         "-p",
         f"organ:={options.organ}",
     ]
+    node += [part for parameter in options.parameters for part in ("-p", parameter)]
     score = [str(executable("score")), "--report", str(report), "--organ", str(options.organ)]
     score += ["--snapshot", str(folder / "snapshot.npz"), "--snapshot-stamp", str(snapshot_ns)]
     replay = [str(executable("replay")), str(options.bag), "--rate", str(options.rate), "--subscribers", "2"]

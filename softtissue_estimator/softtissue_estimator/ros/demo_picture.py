@@ -1,7 +1,8 @@
 """The demo's picture: one recorded frame, its truth from the bag and its answer from the node."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +13,14 @@ from softtissue_estimator.organ import load_organ
 from softtissue_estimator.picture import Markers, Scene, draw_phantom
 from softtissue_estimator.ros.bag import Bag, message_type
 from softtissue_estimator.ros.conversions import Cloud, read_cloud
+from softtissue_estimator.ros.conversions import stamp_ns as nanoseconds
+from softtissue_estimator.ros.correspondences import read_correspondences
 from softtissue_estimator.ros.registration import Registration, transform_points
 
 FloatArray = NDArray[np.float64]
 
 CLOUDS, MARKERS, TRUTH, REGISTRATION = "surface_points", "markers_truth", "organ_truth", "registration"
+CORRESPONDENCES = "correspondences"
 
 
 @dataclass(frozen=True)
@@ -50,18 +54,30 @@ def read_recording(path: Path) -> Recording:
         If it cannot be read or has no clouds.
     """
     recording = Recording({}, {}, {}, Registration())
+    pairs: dict[int, Any] = {}
     kinds = {CLOUDS: recording.clouds, MARKERS: recording.markers, TRUTH: recording.truth}
     with Bag(path) as bag:
         for connection, _, data in bag.messages():
             topic = connection.topic.lstrip("/")
             if topic == REGISTRATION:
                 recording.registration.put(deserialize_message(data, message_type(connection.msgtype)))
+            elif topic == CORRESPONDENCES:
+                message = deserialize_message(data, message_type(connection.msgtype))
+                pairs[nanoseconds(message.header.stamp)] = message
             elif topic in kinds:
                 cloud = read_cloud(deserialize_message(data, message_type(connection.msgtype)))
                 kinds[topic][cloud.stamp_ns] = cloud
     if not recording.clouds:
         raise InvalidInputError(f"bag {path}: expected clouds on {CLOUDS}, got none")
+    for stamp in recording.clouds.keys() & pairs.keys():
+        recording.clouds[stamp] = _tracked(recording.clouds[stamp], pairs[stamp])
     return recording
+
+
+def _tracked(cloud: Cloud, message: Any) -> Cloud:
+    """Return the points of a cloud that have correspondences, with them."""
+    pairs = read_correspondences(message, len(cloud.points))
+    return replace(cloud, points=cloud.points[pairs.index], reference=pairs.reference)
 
 
 def draw(recording: Recording, organ_folder: Path, snapshot: Path, estimator: str, path: Path) -> None:
@@ -78,7 +94,7 @@ def draw(recording: Recording, organ_folder: Path, snapshot: Path, estimator: st
     cloud = recording.clouds.get(stamp)
     if cloud is None or cloud.reference is None:
         raise InvalidInputError(
-            f"snapshot: expected a recorded cloud of stamp {stamp} with ref_x ref_y ref_z, got none"
+            f"snapshot: expected a recorded cloud of stamp {stamp} with ref_x ref_y ref_z or correspondences, got none"
         )
     motion = recording.registration.organ_from_cloud(cloud.frame, organ.frame, stamp)
     truth = recording.truth.get(stamp)

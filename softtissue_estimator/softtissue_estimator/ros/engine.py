@@ -7,6 +7,7 @@ from pathlib import Path
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimator import Estimator, create_estimator
+from softtissue_estimator.log_lines import log_lines
 from softtissue_estimator.organ import Organ, load_organ
 from softtissue_estimator.resources import bundled_organ
 from softtissue_estimator.ros.frames import unmoved
@@ -47,7 +48,8 @@ def load_engine(folder: str, config: EstimatorConfig, say: Callable[[str], None]
     path = Path(folder) if folder else bundled_organ()
     say(f"loading organ {path}")
     began = time.monotonic()
-    organ = load_organ(path)
+    with log_lines(say):
+        organ = load_organ(path)
     estimator = create_estimator(config)
     estimator.load_organ(organ, say)
     # Libraries set themselves up in the first estimate, which would make the first cloud late.

@@ -104,7 +104,7 @@ def answer_frame(
     estimate = estimator.estimate(observation)
     watch.lap("estimate")
     watch.stages.update({f"estimate/{name}": seconds for name, seconds in estimate.stages.items()})
-    visible = visible_fraction(organ, observation.reference)
+    visible = visible_fraction(organ, observation)
     watch.lap("visibility")
     used = len(observation.reference)
     return Answer(

@@ -35,6 +35,5 @@ def silence(
         return None  # nobody has promised any
     if publishers == 0:
         return f"{expected}; its publisher is gone"
-    if last_cloud_s is None:
-        return f"{expected} although {publishers} publisher(s) announce them; if they are large, {TRANSPORT_HINT}"
-    return f"{expected} from {publishers} publisher(s)"
+    # Also after clouds that arrived: of a large one only the first may get through before the sockets' buffers fill.
+    return f"{expected} although {publishers} publisher(s) announce them; if they are large, {TRANSPORT_HINT}"

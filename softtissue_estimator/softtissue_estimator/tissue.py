@@ -1,0 +1,57 @@
+"""Poisson's ratio where it is not known: which values are considered, and how likely each is before anything is seen.
+
+How an organ bends where it is seen depends on how compressible it is, so that an observation says something about it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_STEP = 0.05
+_LOWEST, _HIGHEST = 0.25, 0.48
+_REACH = 2.0
+"""Standard deviations to either side of the expected value that are considered."""
+
+
+@dataclass(frozen=True)
+class RatioPrior:
+    """Values of Poisson's ratio.
+
+    Parameters
+    ----------
+    ratios : tuple of float
+        In ascending order.
+    log_probability : tuple of float
+        Of each, up to a constant.
+    expected : int
+        Number of the one to begin with.
+    """
+
+    ratios: tuple[float, ...]
+    log_probability: tuple[float, ...]
+    expected: int
+
+    @property
+    def numbers(self) -> frozenset[int]:
+        """Of all values."""
+        return frozenset(range(len(self.ratios)))
+
+
+def ratio_prior(mean: float, sigma: float) -> RatioPrior:
+    """Consider values at steps of 0.05 from the expected one, as far as they are plausible.
+
+    Parameters
+    ----------
+    mean : float
+        Expected Poisson's ratio.
+    sigma : float
+        Its standard deviation; 0 where it is known.
+    """
+    steps = int(_REACH * sigma / _STEP + 1e-9)
+    values = {round(mean + _STEP * step, 6) for step in range(-steps, steps + 1)}
+    values = {value for value in values if _LOWEST <= value <= _HIGHEST}
+    if mean + _REACH * sigma >= _HIGHEST:
+        values.add(_HIGHEST)
+    ratios = sorted(values | {mean})
+    distance = (np.array(ratios) - mean) / max(sigma, _STEP)
+    return RatioPrior(tuple(ratios), tuple((-0.5 * distance**2).tolist()), ratios.index(mean))
