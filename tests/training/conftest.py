@@ -43,3 +43,13 @@ def data_folder(records, tmp_path_factory):
     for number, record in enumerate(records):
         write_record(folder, record_name(number), format_record(record))
     return folder
+
+
+@pytest.fixture(scope="session")
+def coarse_breathing_liver(tmp_path_factory):
+    """A breathing liver of few elements, and the folder of its case."""
+    from softtissue_training.experiments.breathing_liver.build import build_case, coarse
+    from softtissue_training.experiments.breathing_liver.spec import BreathingSpec
+
+    folder = tmp_path_factory.mktemp("breathing_liver")
+    return build_case(coarse(BreathingSpec()), folder), folder

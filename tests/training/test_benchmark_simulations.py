@@ -99,7 +99,7 @@ def test_generate_refuses_the_seeds_of_the_benchmark(tmp_path, capsys):
     ]
     assert main(arguments) == 2
     said = capsys.readouterr().err
-    assert "--seed must be below 1000000" in said and "got 1000000" in said
+    assert "expected below 1000000" in said and "got 1000000" in said
     assert said.count("\n") == 1
     assert not (tmp_path / "sims").exists()
 

@@ -17,12 +17,12 @@ from softtissue_training.evaluation.methods import (
 )
 from softtissue_training.evaluation.observe import (
     ObservationSettings,
-    draw_visible_faces,
     load_seen_share,
     ordered_faces,
     simulated_case,
 )
 from softtissue_training.evaluation.prescribed import finite_element_displacement, vertex_displacement
+from softtissue_training.organs.surface_patch import draw_faces
 from softtissue_training.physics.material import Material
 from softtissue_training.physics.solver import solve
 
@@ -108,6 +108,23 @@ def test_finite_elements_find_what_no_hidden_force_acts_on(samples):
     assert np.array_equal(case.visible, seen.visible)
     assert mean_error(case, rigid_displacement(case)) > 5e-4
     assert mean_error(case, finite_element_displacement(case)) < 2e-6
+
+
+def test_interpolation_where_an_attached_vertex_was_observed(samples):
+    """Seen to move, though it should not: what was observed counts."""
+    case = case_of(samples[0])
+    vertex = np.flatnonzero(case.organ.attached)[:1]
+    place = case.organ.surface.vertices[vertex]
+    seen = dataclasses.replace(
+        case.observation,
+        reference=np.concatenate([case.observation.reference, place]),
+        displacement=np.concatenate([case.observation.displacement, [[0.0, 0.0, 0.002]]]),
+        sigma=np.append(case.observation.sigma, 1e-3),
+        located=None,
+    )
+    found = interpolated_displacement(dataclasses.replace(case, observation=seen))
+    assert np.abs(found).max() < 0.1
+    np.testing.assert_allclose(found[vertex], [[0.0, 0.0, 0.002]], atol=1e-6)
 
 
 def test_finite_elements_hold_attached_vertices_that_are_seen_to_move(samples):
@@ -243,7 +260,7 @@ def test_pressure_counts_as_load(samples):
 
 def test_patches_start_anywhere(samples):
     surface = samples[0].surface
-    seen = [draw_visible_faces(surface, (0.2, 0.2), np.random.default_rng(seed)) for seed in range(30)]
+    seen = [draw_faces(surface, lambda _: 0.2, np.random.default_rng(seed)) for seed in range(30)]
     assert np.any(seen, axis=0).mean() > 0.9
 
 

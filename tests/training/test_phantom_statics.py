@@ -6,13 +6,9 @@ from scipy.spatial.transform import Rotation
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.errors import SolverDivergedError
 from softtissue_training.organs.tetrahedralise import TetMesh
+from softtissue_training.phantom.mooney_rivlin import energy_density, mooney_rivlin, stress_and_tangent
 from softtissue_training.phantom.quadratic_mesh import Interpolator, shape_functions, to_quadratic
-from softtissue_training.phantom.statics import (
-    Body,
-    energy_density,
-    mooney_rivlin,
-    stress_and_tangent,
-)
+from softtissue_training.phantom.statics import Body
 
 CONSTANTS = torch.tensor([400.0, 130.0, 9000.0], dtype=torch.float64)
 SIDE = 0.03
@@ -159,3 +155,36 @@ def test_body_that_is_attached_nowhere_is_refused(mesh):
 def test_default_precision_of_torch_is_left_alone(body, mesh):
     body.internal_force(np.zeros_like(mesh.nodes))
     assert torch.get_default_dtype() == torch.float32
+
+
+def test_springs_add_their_pull_to_the_internal_force(mesh, body):
+    rng = np.random.default_rng(4)
+    blocks = rng.normal(size=(len(mesh.nodes), 3, 3))
+    springs = blocks @ np.swapaxes(blocks, 1, 2)
+    attached = mesh.nodes[:, 2] == 0.0
+    displacement = 1e-4 * rng.normal(size=mesh.nodes.shape)
+    on_springs = Body(mesh, mooney_rivlin(3000.0, 0.45), attached, springs)
+    pull = on_springs.internal_force(displacement) - body.internal_force(displacement)
+    np.testing.assert_allclose(pull, [s @ u for s, u in zip(springs, displacement, strict=True)], atol=1e-12)
+
+
+def test_newton_on_springs_converges_as_fast_as_without(mesh, body):
+    springs = np.zeros((len(mesh.nodes), 3, 3))
+    top = mesh.nodes[:, 2] == SIDE
+    springs[top] = [[2.0, 0.5, 0.0], [0.5, 1.0, 0.2], [0.0, 0.2, 3.0]]
+    on_springs = Body(mesh, mooney_rivlin(3000.0, 0.45), mesh.nodes[:, 2] == 0.0, springs)
+    force = np.where(top[:, None], [4e-3, 0.0, -2e-3], 0.0)
+    rest = np.zeros_like(mesh.nodes)
+    held, free = on_springs.solve(force, rest), body.solve(force, rest)
+    assert held.iterations <= free.iterations + 1 <= 8
+    # The springs are stretched, and carry part of the load.
+    assert np.linalg.norm(held.displacement[top].mean(axis=0)) < np.linalg.norm(
+        free.displacement[top].mean(axis=0)
+    )
+    carried = np.einsum("ij,nj->i", springs[np.argmax(top)], held.displacement[top])
+    np.testing.assert_allclose(held.reaction + force.sum(axis=0) - carried, 0.0, atol=1e-8)
+
+
+def test_springs_of_a_wrong_shape_are_refused(mesh):
+    with pytest.raises(InvalidInputError, match="expected springs of shape"):
+        Body(mesh, mooney_rivlin(3000.0, 0.45), mesh.nodes[:, 2] == 0.0, np.zeros((3, 3)))

@@ -1,11 +1,14 @@
 import dataclasses
 
+import pytest
 import torch
 
+from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.learning.simulation_set import SimulationSet
 from softtissue_training.learning.training_config import get_config
 from softtissue_training.simulation.archive import record_name, write_record
 from softtissue_training.simulation.record_format import format_record
+from softtissue_training.simulation.reserved_seeds import FIRST_RESERVED_SEED
 
 TINY = get_config("tiny")
 
@@ -39,3 +42,15 @@ def test_all_load_cases_of_an_organ_are_on_the_same_side(records, tmp_path):
     ]
     assert (len(sides[0]), len(sides[1])) == (3, 2)
     assert not sides[0] & sides[1]
+
+
+def test_records_of_the_benchmark_are_refused(records, tmp_path):
+    for number, record in enumerate(records[:2]):
+        seed = (FIRST_RESERVED_SEED if number else FIRST_RESERVED_SEED - 1, number)
+        moved = tuple(dataclasses.replace(sample, seed=seed) for sample in record.simulations)
+        content = format_record(dataclasses.replace(record, simulations=moved))
+        write_record(tmp_path, record_name(number), content)
+    with pytest.raises(
+        InvalidInputError, match="the benchmark's, which nothing may be trained on; got 1000000"
+    ):
+        SimulationSet(tmp_path, TINY).rescan()

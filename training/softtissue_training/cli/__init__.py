@@ -16,6 +16,7 @@ from softtissue_training.cli import (
     posterior,
     records,
     show,
+    timing,
     train,
 )
 
@@ -43,6 +44,18 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    for module in (generate, show, records, posterior, train, evaluate, benchmark, export, compare_solvers):
+    modules = (
+        generate,
+        show,
+        records,
+        posterior,
+        train,
+        evaluate,
+        benchmark,
+        timing,
+        export,
+        compare_solvers,
+    )
+    for module in modules:
         module.add(commands)
     return parser

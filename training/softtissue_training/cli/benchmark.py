@@ -27,7 +27,7 @@ def add(commands: Commands) -> None:
     benchmark.add_argument(
         "--quick",
         action="store_true",
-        help="60 random organs and short sweeps, within 10 minutes on two cores",
+        help="60 random organs and short sweeps, 24 minutes of processor time",
     )
     benchmark.add_argument(
         "--estimators",

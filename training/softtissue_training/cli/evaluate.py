@@ -7,6 +7,7 @@ import shlex
 import sys
 from pathlib import Path
 
+from softtissue_training.cli import evaluate_breathing, evaluate_phantom
 from softtissue_training.cli.arguments import Commands, positive
 
 
@@ -19,6 +20,8 @@ def add(commands: Commands) -> None:
     )
     experiments = evaluate.add_subparsers(required=True, metavar="EXPERIMENT")
     _add_insilico(experiments)
+    evaluate_phantom.add(experiments)
+    evaluate_breathing.add(experiments)
 
 
 def _add_insilico(experiments: Commands) -> None:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
+from scipy.spatial import cKDTree
 
 import softtissue_estimator
 import softtissue_training
@@ -31,6 +32,7 @@ from softtissue_training.evaluation.case import EvaluationCase
 
 FloatArray = NDArray[np.float64]
 
+_SAME_PLACE_M = 1e-5
 _COMMON = ("evaluation/case.py", "evaluation/observe.py", "evaluation/methods.py", "organs/surface_patch.py")
 
 
@@ -115,6 +117,8 @@ def interpolated_displacement(case: EvaluationCase) -> FloatArray:
     """
     points, displacement = average_by_patch(case.observation, case.organ.surface_lookup)
     held = case.organ.surface.vertices[case.organ.attached]
+    # Two values in one place have no interpolant.
+    held = held[cKDTree(points).query(held, distance_upper_bound=_SAME_PLACE_M)[0] > _SAME_PLACE_M]
     values = np.concatenate([displacement, np.zeros_like(held)])
     spline = RBFInterpolator(np.concatenate([points, held]), values, kernel="linear", degree=1)
     return np.asarray(spline(case.points), dtype=np.float64)

@@ -14,7 +14,7 @@ from softtissue_estimator.observation import Observation, make_observation
 from softtissue_estimator.organ import Organ, make_organ
 from softtissue_estimator.volume_mesh import VolumeMesh
 from softtissue_training.evaluation.case import EvaluationCase, depth_below
-from softtissue_training.organs.surface_patch import grow_patch, resized, surface_distance
+from softtissue_training.organs.surface_patch import draw_faces, resized
 from softtissue_training.simulation.sample import Sample
 
 FloatArray = NDArray[np.float64]
@@ -77,6 +77,10 @@ class ObservationSettings:
                 f"attached region: expected 0.1 to 10 times the true area, got {self.attached_share:g}"
             )
 
+    def draw_share(self, rng: np.random.Generator) -> float:
+        """Draw the visible share."""
+        return rng.uniform(*self.visible_share)
+
 
 def told_organ(sample: Sample, settings: ObservationSettings, name: str) -> Organ:
     """Return what estimators are told of a simulation's organ.
@@ -111,7 +115,7 @@ def simulated_case(
     surface = organ.surface
     nodes = sample.vertices.astype(np.float64)
     truth = sample.displacement.astype(np.float64)
-    faces = draw_visible_faces(surface, settings.visible_share, rng)
+    faces = draw_faces(surface, settings.draw_share, rng)
     visible = np.zeros(len(nodes), dtype=bool)
     visible[surface.faces[faces]] = True
     areas = face_areas(surface)
@@ -134,19 +138,6 @@ def ordered_faces(faces: IntArray) -> IntArray:
     first = faces.argmin(axis=1)
     turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
     return turned[np.lexsort(turned.T[::-1])]
-
-
-def draw_visible_faces(
-    surface: SurfaceMesh, share: tuple[float, float], rng: np.random.Generator
-) -> BoolArray:
-    """Draw a patch that grows along the surface from a random point, (m,) true for its faces.
-
-    The same distribution as in training (`dataset.draw_visible`).
-    """
-    areas = face_areas(surface)
-    start = int(rng.choice(len(areas), p=areas / areas.sum()))
-    distance = surface_distance(surface, int(surface.faces[start, 0]))
-    return grow_patch(distance, surface.faces, areas, rng.uniform(*share))
 
 
 def observe(

@@ -53,6 +53,7 @@ def evaluate(
     *,
     workers: int = 1,
     show_progress: bool = True,
+    unit: str = "organ",
 ) -> list[CaseResult]:
     """Return the answers of all estimators to all cases, in the jobs' order.
 
@@ -62,6 +63,8 @@ def evaluate(
         Where finished answers are kept and looked for.
     workers
         Processes; 0 works in this one.
+    unit
+        What a job is called beside the progress bar.
 
     Raises
     ------
@@ -78,7 +81,7 @@ def evaluate(
     with tqdm(
         total=len(jobs),
         initial=len(jobs) - len(missing),
-        unit="organ",
+        unit=unit,
         desc="evaluating",
         disable=not show_progress,
     ) as bar:

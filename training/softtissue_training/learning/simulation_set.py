@@ -16,6 +16,7 @@ from softtissue_training.learning.dataset import PreparedSample, prepare
 from softtissue_training.learning.training_config import TrainingConfig
 from softtissue_training.simulation.archive import digest, list_records, read_records
 from softtissue_training.simulation.record_format import content_hash, parse_record
+from softtissue_training.simulation.reserved_seeds import check_not_reserved
 
 _Task = tuple[str, bytes, NetworkSpec, bool]
 
@@ -51,7 +52,7 @@ class SimulationSet:
         Raises
         ------
         InvalidInputError
-            There is nothing to train on or nothing to validate with.
+            There is nothing to train on or nothing to validate with, or records are the benchmark's.
         """
         new = [name for name in list_records(self._data) if name not in self._hashes][:limit]
         tasks = (
@@ -101,6 +102,7 @@ class SimulationSet:
 def _prepare_one(task: _Task) -> tuple[str, str, int, list[PreparedSample]]:
     name, content, spec, surroundings = task
     record = parse_record(content, name)
+    check_not_reserved(record.seed[0])
     samples = [prepare(sample, spec, surroundings=surroundings) for sample in record.simulations]
     return name, content_hash(content, name), record.seed[1], samples
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
-from softtissue_estimator.mesh import SurfaceMesh, vertex_areas
+from softtissue_estimator.mesh import SurfaceMesh, face_areas, vertex_areas
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -69,6 +71,22 @@ def edge_graph(surface: SurfaceMesh) -> sparse.csr_matrix:
     lengths = np.linalg.norm(surface.vertices[ends[:, 0]] - surface.vertices[ends[:, 1]], axis=1)
     count = len(surface.vertices)
     return sparse.csr_matrix((lengths, (ends[:, 0], ends[:, 1])), shape=(count, count))
+
+
+def draw_faces(
+    surface: SurfaceMesh, draw_share: Callable[[np.random.Generator], float], rng: np.random.Generator
+) -> BoolArray:
+    """Draw a patch that grows along the surface from a random point, (m,) true for its faces.
+
+    Parameters
+    ----------
+    draw_share
+        Draws the wanted share of the area, 0 to 1; called after the point is drawn.
+    """
+    areas = face_areas(surface)
+    start = int(rng.choice(len(areas), p=areas / areas.sum()))
+    distance = surface_distance(surface, int(surface.faces[start, 0]))
+    return grow_patch(distance, surface.faces, areas, draw_share(rng))
 
 
 def grow_patch(from_seed: FloatArray, faces: NDArray[np.int64], areas: FloatArray, share: float) -> BoolArray:

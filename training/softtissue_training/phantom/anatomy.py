@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.mesh import SurfaceMesh
+from softtissue_estimator.surface_patch import patch
+from softtissue_training.phantom.implicit import Implicit, Points
 from softtissue_training.phantom.isosurface import isosurface
 from softtissue_training.phantom.liver_shape import LiverShape, random_liver
-from softtissue_training.phantom.patches import patch
 from softtissue_training.phantom.spec import PhantomSpec
 from softtissue_training.phantom.tumour import place_tumour
 from softtissue_training.phantom.vessels import grow_tree, interior_points
@@ -21,7 +22,7 @@ from softtissue_training.phantom.vessels import grow_tree, interior_points
 Array = NDArray[np.float64]
 ORGAN_FRAME = "organ"
 
-# Where the vessels enter: from a point outside (m) towards one inside, `_ENTRY_DEPTH` below the surface.
+# Where the vessels enter: from a point outside (m) towards one inside, 10 mm below the surface.
 _PORTAL_ENTRY = ((0.008, 0.060, -0.030), (-0.005, 0.0, 0.010))
 _HEPATIC_ENTRY = ((0.010, 0.060, 0.060), (0.0, 0.010, 0.040))
 _ENTRY_DEPTH = 0.010
@@ -87,7 +88,7 @@ def build_anatomy(
     surface = isosurface(liver, *liver.box, spec.surface_spacing)
     progress("vessels")
     candidates = interior_points(liver, liver.box, _VESSEL_DEPTH, _VESSEL_CANDIDATES, rng)
-    portal_root = _enter(liver, _PORTAL_ENTRY)
+    portal_root = enter_organ(liver, straight_way(*np.array(_PORTAL_ENTRY)))
     portal = grow_tree(liver, portal_root, spec.portal_ends, candidates, _VESSEL_END_RADIUS)
     candidates = interior_points(
         liver,
@@ -97,7 +98,7 @@ def build_anatomy(
         rng,
         free=lambda points: portal(points) > _VESSEL_GAP,
     )
-    hepatic_root = _enter(liver, _HEPATIC_ENTRY)
+    hepatic_root = enter_organ(liver, straight_way(*np.array(_HEPATIC_ENTRY)))
     hepatic = grow_tree(liver, hepatic_root, spec.hepatic_ends, candidates, _VESSEL_END_RADIUS)
     portal_mesh = isosurface(portal, *portal.box, spec.vessel_spacing, rounds=8)
     hepatic_mesh = isosurface(hepatic, *hepatic.box, spec.vessel_spacing, rounds=8)
@@ -113,7 +114,7 @@ def build_anatomy(
         Part("hepatic veins", "vessel", hepatic_mesh, (0.35, 0.70, 0.90)),
         Part("tumour", "tumour", isosurface(tumour, *tumour.box, spec.vessel_spacing), (0.95, 0.85, 0.20)),
     )
-    _check_inside(liver, parts)
+    check_inside(liver, parts)
     return Anatomy(
         liver,
         surface,
@@ -123,17 +124,33 @@ def build_anatomy(
     )
 
 
-def _enter(shape: LiverShape, entry: tuple[tuple[float, ...], tuple[float, ...]]) -> Array:
-    """First point ``(3,)`` m on a straight way into the organ that lies `_ENTRY_DEPTH` below its surface."""
-    start, end = np.array(entry[0]), np.array(entry[1])
-    way = start + np.linspace(0.0, 1.0, 1000)[:, None] * (end - start)
+def straight_way(start: Points, end: Points) -> Points:
+    """Points on the way from one point ``(3,)`` to another, ``(1000, 3)``."""
+    return start + np.linspace(0.0, 1.0, 1000)[:, None] * (end - start)
+
+
+def enter_organ(shape: Implicit, way: Points) -> Array:
+    """First point ``(3,)`` m of a way ``(k, 3)`` m into an organ that lies 10 mm below its surface.
+
+    Raises
+    ------
+    MeshError
+        If no point of the way does.
+    """
     deep = shape(way) < -_ENTRY_DEPTH
     if not deep.any():
-        raise MeshError(f"expected the organ between {start} and {end} m, found none")
+        raise MeshError(f"expected the organ between {way[0]} and {way[-1]} m, found none")
     return np.array(way[int(np.argmax(deep))])
 
 
-def _check_inside(shape: LiverShape, parts: tuple[Part, ...]) -> None:
+def check_inside(shape: Implicit, parts: tuple[Part, ...]) -> None:
+    """Refuse structures that do not lie wholly inside an organ.
+
+    Raises
+    ------
+    MeshError
+        If one reaches closer than 1 mm to the surface.
+    """
     for part in parts:
         outermost = float(shape(part.mesh.vertices).max())
         if outermost > -0.001:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection, Qos
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.phantom.anatomy import ORGAN_FRAME
@@ -24,6 +24,11 @@ POINTS_TOPIC = "/surface_points"
 MARKERS_TOPIC = "/markers_truth"
 ORGAN_TOPIC = "/organ_truth"
 REGISTRATION_TOPIC = "/registration"
+CORRESPONDENCES_TOPIC = "/correspondences"
+
+CORRESPONDENCES_TYPE = "softtissue_msgs/msg/Correspondences"
+CORRESPONDENCES_FIELDS = "std_msgs/Header header\nuint32[] index\nfloat32[] reference\nfloat32[] sigma\n"
+"""Definition of the message, which is read from the built workspace elsewhere."""
 
 _FLOAT32 = 7
 _POSITION = ("x", "y", "z")
@@ -35,7 +40,14 @@ class BagWriter:
 
     Topics: `surface_points` (x y z in the endoscope's frame, ref_x ref_y ref_z in the organ's), `markers_truth`
     (x y z and ref_x ref_y ref_z in the organ's frame), `organ_truth` (x y z in the organ's frame, in the order of
-    `Organ.query_points`) and `registration`. All coordinates are in metres.
+    `Organ.query_points`), `registration` and, if asked for, `correspondences`. All coordinates are in metres.
+
+    Parameters
+    ----------
+    folder
+        Of the bag; an old one is replaced.
+    organ_frame, cloud_frame
+        Names of the organ's frame and of that of `surface_points`.
 
     Raises
     ------
@@ -43,10 +55,10 @@ class BagWriter:
         If the folder exists and is not a bag, which would be lost.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, organ_frame: str = ORGAN_FRAME, cloud_frame: str = CLOUD_FRAME) -> None:
+        self._organ_frame, self._cloud_frame = organ_frame, cloud_frame
+        check_replaceable(folder)
         if folder.exists():
-            if not (folder / "metadata.yaml").is_file():
-                raise InvalidInputError(f"expected a new folder or an old bag to replace, got {folder}")
             shutil.rmtree(folder)
         folder.parent.mkdir(parents=True, exist_ok=True)
         self._types = get_typestore(Stores.ROS2_KILTED)
@@ -70,8 +82,8 @@ class BagWriter:
         types = self._types.types
         x, y, z, w = (float(value) for value in pose.quaternion)
         message = types["geometry_msgs/msg/TransformStamped"](
-            header=self._header(CLOUD_FRAME, time),
-            child_frame_id=ORGAN_FRAME,
+            header=self._header(self._cloud_frame, time),
+            child_frame_id=self._organ_frame,
             transform=types["geometry_msgs/msg/Transform"](
                 translation=types["geometry_msgs/msg/Vector3"](*(float(value) for value in pose.translation)),
                 rotation=types["geometry_msgs/msg/Quaternion"](x, y, z, w),
@@ -81,18 +93,40 @@ class BagWriter:
 
     def frame(self, frame: Frame, markers: Array) -> None:
         """Write a frame's cloud and true markers; `markers` ``(k, 3)`` m are their preoperative positions."""
-        cloud = np.concatenate([frame.points, frame.reference], axis=1)
-        self._write(
-            POINTS_TOPIC, self._cloud(CLOUD_FRAME, frame.time, _POSITION + _REFERENCE, cloud), frame.time
+        self.cloud(frame.points, frame.reference, frame.time)
+        self.markers(frame.markers, markers, frame.time)
+
+    def cloud(self, points: Array, reference: Array | None, time: float) -> None:
+        """Write a cloud ``(n, 3)`` m, with the points' preoperative positions ``(n, 3)`` m if these are known."""
+        names: tuple[str, ...] = _POSITION
+        values = points
+        if reference is not None:
+            names, values = _POSITION + _REFERENCE, np.concatenate([points, reference], axis=1)
+        self._write(POINTS_TOPIC, self._cloud(self._cloud_frame, time, names, values), time)
+
+    def correspondences(self, reference: Array, sigma: Array, time: float) -> None:
+        """Write preoperative positions ``(n, 3)`` m and standard deviations ``(n,)`` m of the points of a cloud."""
+        if CORRESPONDENCES_TOPIC not in self._connections:
+            self._types.register(get_types_from_msg(CORRESPONDENCES_FIELDS, CORRESPONDENCES_TYPE))
+            self._connections[CORRESPONDENCES_TOPIC] = self._connect(
+                CORRESPONDENCES_TOPIC, CORRESPONDENCES_TYPE
+            )
+        message = self._types.types[CORRESPONDENCES_TYPE](
+            header=self._header(self._organ_frame, time),
+            index=np.empty(0, dtype=np.uint32),
+            reference=np.ascontiguousarray(reference, dtype=np.float32).ravel(),
+            sigma=np.ascontiguousarray(sigma, dtype=np.float32),
         )
-        truth = np.concatenate([frame.markers, markers], axis=1)
-        self._write(
-            MARKERS_TOPIC, self._cloud(ORGAN_FRAME, frame.time, _POSITION + _REFERENCE, truth), frame.time
-        )
+        self._write(CORRESPONDENCES_TOPIC, message, time)
+
+    def markers(self, markers: Array, reference: Array, time: float) -> None:
+        """Write the true positions ``(k, 3)`` m of markers and where they were before."""
+        truth = np.concatenate([markers, reference], axis=1)
+        self._write(MARKERS_TOPIC, self._cloud(self._organ_frame, time, _POSITION + _REFERENCE, truth), time)
 
     def organ(self, points: Array, time: float) -> None:
         """Write the true positions ``(q, 3)`` m of all of the organ's query points."""
-        self._write(ORGAN_TOPIC, self._cloud(ORGAN_FRAME, time, _POSITION, points), time)
+        self._write(ORGAN_TOPIC, self._cloud(self._organ_frame, time, _POSITION, points), time)
 
     def _connect(self, topic: str, kind: str) -> Connection:
         profiles: tuple[Qos, ...] = ()
@@ -126,6 +160,18 @@ class BagWriter:
             data=data.view(np.uint8).ravel(),
             is_dense=True,
         )
+
+
+def check_replaceable(folder: Path) -> None:
+    """Check that a bag may be written to a folder: that it is new, or an old bag.
+
+    Raises
+    ------
+    InvalidInputError
+        It is something else, which would be lost.
+    """
+    if folder.exists() and not (folder / "metadata.yaml").is_file():
+        raise InvalidInputError(f"expected a new folder or an old bag to replace, got {folder}")
 
 
 def stamp_ns(time: float) -> int:

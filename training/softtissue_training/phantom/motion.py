@@ -15,9 +15,10 @@ from softtissue_training.errors import SolverDivergedError
 from softtissue_training.organs.tetrahedralise import TetMesh, tetrahedralise
 from softtissue_training.phantom.anatomy import Anatomy
 from softtissue_training.phantom.isosurface import isosurface
+from softtissue_training.phantom.mooney_rivlin import mooney_rivlin
 from softtissue_training.phantom.quadratic_mesh import Interpolator, QuadraticMesh, to_quadratic
 from softtissue_training.phantom.spec import PhantomSpec, Push
-from softtissue_training.phantom.statics import Body, Equilibrium, mooney_rivlin
+from softtissue_training.phantom.statics import Body, Equilibrium
 
 Array = NDArray[np.float64]
 

@@ -1,17 +1,13 @@
-"""Equilibrium of the phantom: compressible Mooney-Rivlin tissue of ten-node tetrahedra (torch-fem).
+"""Equilibrium of a hyperelastic body of ten-node tetrahedra under dead forces and on springs (torch-fem).
 
-Stored energy, with F the deformation gradient, J = det F and the invariants of J^(-2/3) F^T F:
-
-    W = c10 (I1 - 3) + c01 (I2 - 3) + kappa/2 (J - 1)^2
-
-At small strain the shear modulus is 2 (c10 + c01) and the bulk modulus kappa. Law, element and solver differ from
-those that make the training data; nothing here is shared with an estimator.
+Law, element and solver differ from those that make the training data; nothing here is shared with an estimator.
 """
 
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -32,89 +28,34 @@ _MAX_ITERATIONS = 25
 _MAX_HALVINGS = 8
 
 
-@dataclass(frozen=True)
-class MooneyRivlin:
-    """Constants of the law in pascals."""
+class Tissue(Protocol):
+    """A hyperelastic law with its constants."""
 
-    c10_pa: float
-    c01_pa: float
-    bulk_modulus_pa: float
+    @property
+    def constants(self) -> tuple[float, ...]:
+        """Constants of the law, in the order that its functions take them."""
 
+    @staticmethod
+    def energy_density(deformation_gradient: torch.Tensor, constants: torch.Tensor) -> torch.Tensor:
+        """Return the stored energy (J/m^3) of one deformation gradient ``(3, 3)``; constants ``(c,)``."""
 
-def mooney_rivlin(youngs_modulus_pa: float, poisson_ratio: float, share_c01: float = 0.25) -> MooneyRivlin:
-    """Choose the constants that give this Young's modulus and Poisson's ratio at small strain.
-
-    Raises
-    ------
-    InvalidInputError
-        If the modulus is not positive or Poisson's ratio not within (0, 0.5).
-    """
-    if youngs_modulus_pa <= 0.0 or not 0.0 < poisson_ratio < 0.5:
-        raise InvalidInputError(
-            f"expected E > 0 Pa and 0 < nu < 0.5, got E = {youngs_modulus_pa} Pa and nu = {poisson_ratio}"
-        )
-    shear = youngs_modulus_pa / (2.0 * (1.0 + poisson_ratio))
-    bulk = youngs_modulus_pa / (3.0 * (1.0 - 2.0 * poisson_ratio))
-    return MooneyRivlin(0.5 * shear * (1.0 - share_c01), 0.5 * shear * share_c01, bulk)
-
-
-def energy_density(deformation_gradient: torch.Tensor, constants: torch.Tensor) -> torch.Tensor:
-    """Return the stored energy (J/m^3) of one deformation gradient ``(3, 3)``; constants c10, c01, kappa in Pa."""
-    c = deformation_gradient.T @ deformation_gradient
-    volume_squared = torch.exp(torch.logdet(c))  # the second derivative of torch.det is not finite at F = I
-    first = torch.trace(c)
-    second = 0.5 * (first**2 - torch.trace(c @ c))
-    isochoric = constants[0] * (volume_squared ** (-1.0 / 3.0) * first - 3.0)
-    isochoric = isochoric + constants[1] * (volume_squared ** (-2.0 / 3.0) * second - 3.0)
-    return isochoric + 0.5 * constants[2] * (torch.sqrt(volume_squared) - 1.0) ** 2
-
-
-def stress_and_tangent(f: torch.Tensor, constants: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """First and second derivative of `energy_density`, written out (thirty times faster than differentiating it).
-
-    Parameters
-    ----------
-    f : (n, 3, 3) deformation gradients
-    constants : (n, 3) c10, c01 and kappa, Pa
-
-    Returns
-    -------
-    stress : (n, 3, 3) first Piola-Kirchhoff stress, Pa
-    tangent : (n, 3, 3, 3, 3) its derivative by the deformation gradient, Pa
-    """
-    c10, c01, kappa = (constants[:, i, None, None] for i in range(3))
-    g = torch.linalg.inv(f).transpose(1, 2)
-    c, left = f.transpose(1, 2) @ f, f @ f.transpose(1, 2)
-    j = torch.linalg.det(f)[:, None, None]
-    first = torch.einsum("nii->n", c)[:, None, None]
-    second = 0.5 * (first**2 - torch.sum(c * c, dim=(1, 2), keepdim=True))
-    h = first * f - f @ c
-    # A negative determinant is rejected by the caller; its absolute value keeps the powers finite.
-    a, b = c10 * j.abs() ** (-2.0 / 3.0), c01 * j.abs() ** (-4.0 / 3.0)
-    p1, p2 = a * (2.0 * f - 2.0 / 3.0 * first * g), b * (2.0 * h - 4.0 / 3.0 * second * g)
-    stress = p1 + p2 + kappa * (j**2 - j) * g
-
-    def outer(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        return torch.einsum("niJ,nkL->niJkL", x, y)
-
-    eye = torch.eye(3, dtype=f.dtype, device=f.device).expand_as(f)
-    tangent = -2.0 / 3.0 * outer(p1 + 2.0 * p2, g) - 4.0 / 3.0 * outer(a * g, f) - 8.0 / 3.0 * outer(b * g, h)
-    tangent += outer(4.0 * b * f, f) + outer(kappa * (2.0 * j**2 - j) * g, g)
-    crossed = 2.0 / 3.0 * a * first + 4.0 / 3.0 * b * second - kappa * (j**2 - j)
-    tangent += torch.einsum("niL,nkJ->niJkL", crossed * g, g) - torch.einsum("niL,nkJ->niJkL", 2.0 * b * f, f)
-    tangent += torch.einsum("nik,nJL->niJkL", eye, 2.0 * (a + b * first) * eye - 2.0 * b * c)
-    tangent -= torch.einsum("nik,nJL->niJkL", 2.0 * b * left, eye)
-    return stress, tangent
+    @staticmethod
+    def stress_and_tangent(f: torch.Tensor, constants: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return its first and second derivative at ``(n, 3, 3)`` gradients with constants ``(n, c)``."""
 
 
 class _Law(Hyperelastic3D):
-    """The law as torch-fem asks for it, with the derivatives written out."""
+    """A law as torch-fem asks for it, with the derivatives written out."""
+
+    def __init__(self, material: Tissue) -> None:
+        super().__init__(material.energy_density, torch.tensor(material.constants))
+        self._stress_and_tangent = material.stress_and_tangent
 
     def step(
         self, H_inc: torch.Tensor, F: torch.Tensor, stress: torch.Tensor, state: torch.Tensor, *_: object
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return stress, state (there is none) and tangent at the deformation gradient F + H_inc."""
-        new_stress, tangent = stress_and_tangent(F + H_inc, self.params)
+        new_stress, tangent = self._stress_and_tangent(F + H_inc, self.params)
         return new_stress, state, tangent
 
 
@@ -141,18 +82,37 @@ class Equilibrium:
 
 
 class Body:
-    """An attached body under dead nodal forces."""
+    """An attached body under dead nodal forces, perhaps on springs.
 
-    def __init__(self, mesh: QuadraticMesh, material: MooneyRivlin, attached: BoolArray) -> None:
+    Parameters
+    ----------
+    mesh
+    material
+    attached
+        (n,) bool, nodes that stay where they are.
+    springs
+        (n, 3, 3) N/m, symmetric: a node displaced by u is pulled back by the force springs @ u.
+    """
+
+    def __init__(
+        self,
+        mesh: QuadraticMesh,
+        material: Tissue,
+        attached: BoolArray,
+        springs: FloatArray | None = None,
+    ) -> None:
         if attached.shape != (len(mesh.nodes),) or not attached.any():
             raise InvalidInputError(
                 f"expected one attachment flag a node ({len(mesh.nodes)}) and at least one set, "
                 f"got shape {attached.shape} with {np.count_nonzero(attached)} set"
             )
-        constants = [material.c10_pa, material.c01_pa, material.bulk_modulus_pa]
+        if springs is not None and springs.shape != (len(mesh.nodes), 3, 3):
+            raise InvalidInputError(
+                f"expected springs of shape ({len(mesh.nodes)}, 3, 3), got {springs.shape}"
+            )
+        self._springs = springs
         with _torch_fem_settings():
-            law = _Law(energy_density, torch.tensor(constants))
-            self._model = Solid(torch.tensor(mesh.nodes), torch.tensor(mesh.elements), law)
+            self._model = Solid(torch.tensor(mesh.nodes), torch.tensor(mesh.elements), _Law(material))
             self._rest = torch.eye(3).expand(self._model.n_int, self._model.n_elem, 3, 3).clone()
         self._size = 3 * len(mesh.nodes)
         self._free = np.repeat(~attached, 3)
@@ -228,6 +188,8 @@ class Body:
             if float(torch.linalg.det(gradient).min()) <= 0.0:
                 return np.full((model.n_nod, 3), np.nan), None
             inner = model.assemble_rhs(element_force).numpy().reshape(-1, 3)
+            if self._springs is not None:
+                inner = inner + np.einsum("nij,nj->ni", self._springs, displacement)
             if stiffness is None:
                 return inner, None
             whole = model.assemble_matrix(stiffness, torch.zeros(0, dtype=torch.long))
@@ -235,6 +197,8 @@ class Body:
             (whole.values().numpy(), whole.col_indices().numpy(), whole.crow_indices().numpy()),
             shape=(self._size, self._size),
         )
+        if self._springs is not None:
+            matrix = _with_blocks(matrix, self._springs)
         return inner, matrix[self._free][:, self._free]
 
     def _solve_linear(self, stiffness: sparse.csr_array, right_hand_side: FloatArray) -> FloatArray:
@@ -243,6 +207,20 @@ class Body:
         if self._solver is None:
             self._solver = make_solver(upper.indptr.astype(np.int64), upper.indices.astype(np.int64))
         return self._solver.solve(upper.data, right_hand_side)
+
+
+def _with_blocks(matrix: sparse.csr_array, blocks: FloatArray) -> sparse.csr_array:
+    """Add a block ``(3, 3)`` for each node to the diagonal of a matrix, in place; its pattern stays the same.
+
+    SciPy's sum drops entries that happen to be zero, and the solver relies on a pattern that does not change.
+    """
+    size = matrix.shape[0]
+    matrix.sort_indices()
+    present = np.repeat(np.arange(size), np.diff(matrix.indptr)) * size + matrix.indices
+    row = np.repeat(np.arange(size), 3)
+    column = 3 * (row // 3) + np.tile(np.arange(3), size)
+    matrix.data[np.searchsorted(present, row * size + column)] += blocks.ravel()
+    return matrix
 
 
 @contextmanager

@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,10 +29,7 @@ from softtissue_training.simulation.sample import Record
 from softtissue_training.simulation.simulate import simulate
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
-
-_WAITING_PER_WORKER = 4
-"""Organs that wait for each worker: enough to keep it busy, few enough that a million organs need no memory."""
+    from distributed import Client
 
 
 @dataclass(frozen=True)
@@ -100,7 +96,7 @@ def generate(
     rejected = _take_stock(folder, seed, recipe, mesh, materials)
     missing = [number for number in range(organs) if number not in present]
     start = time.monotonic()
-    results = map(make, missing) if client is None else _on(client, make, missing)
+    results = map(make, missing) if client is None else _results_of(client, make, missing)
     with tqdm(
         total=organs,
         initial=organs - len(missing),
@@ -162,22 +158,11 @@ def _differences(found: Recipe, wanted: Recipe) -> str:
 _Result = tuple[int, bytes, dict[str, int]]
 
 
-def _on(client: Client, make: Callable[[int], _Result], numbers: list[int]) -> Iterator[_Result]:
-    """Yield results as they come, with only a few organs on their way at any time."""
-    from distributed import as_completed
+def _results_of(client: Client, make: Callable[[int], _Result], numbers: list[int]) -> Iterator[_Result]:
+    # Dask is slow to import, and not needed without a cluster.
+    from softtissue_training.simulation.cluster import results_of
 
-    waiting = iter(numbers)
-
-    def submit(wanted: int) -> list[Future]:
-        chosen = islice(waiting, wanted)
-        # Not pure: a key of its own for each call, so that nothing is taken from an earlier run's memory.
-        return [client.submit(make, number, pure=False, retries=2) for number in chosen]
-
-    running = as_completed(submit(_WAITING_PER_WORKER * max(1, len(client.nthreads()))))
-    for future in running:
-        yield future.result()
-        for new in submit(1):
-            running.add(new)
+    return results_of(client, make, numbers)
 
 
 def _simulate_one(

@@ -17,6 +17,6 @@ def check_not_reserved(seed: int) -> None:
     """
     if seed >= FIRST_RESERVED_SEED:
         raise InvalidInputError(
-            f"--seed must be below {FIRST_RESERVED_SEED}, because the seeds from there on are those of the "
-            f"benchmark, which nothing may be trained on; got {seed}"
+            f"seed of the simulations: expected below {FIRST_RESERVED_SEED}, because those from there on are the "
+            f"benchmark's, which nothing may be trained on; got {seed}"
         )

@@ -13,7 +13,7 @@ from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.elastic_estimator import ElasticEstimate, ElasticEstimator
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.hybrid_input import HybridSpec, hybrid_grid, posterior_cells
-from softtissue_estimator.hybrid_posterior import PosteriorReader, make_reader
+from softtissue_estimator.hybrid_posterior import seen_misfit
 from softtissue_estimator.network_input import channels_on_grid
 from softtissue_estimator.organ import make_organ
 from softtissue_training.learning.hybrid.posterior_record import PosteriorCase
@@ -50,8 +50,8 @@ def posterior_case(
     channels = channels_on_grid(grid, surface, told)
     distance = channels.signed_distance.half()
     cells = grid.points()[posterior_cells(distance.float(), grid.spacing).numpy()]
-    reader = make_reader(estimator, organ.surface_lookup, cells)
-    nodes = reader.mesh.nodes
+    mesh = estimator.mesh
+    nodes = mesh.nodes
     at_nodes = csr_array(eye_array(len(nodes)))
     kept: list[dict[str, Any]] = []
     for _ in range(recipe.views):
@@ -62,9 +62,7 @@ def posterior_case(
             failed(str(error))
             continue
         displacement, sigma = estimate.interpolated(nodes, at_nodes)
-        kept.append(
-            {"displacement": displacement, "sigma": sigma} | _seen(view, reader, estimate, len(points))
-        )
+        kept.append({"displacement": displacement, "sigma": sigma} | _seen(view, estimate, len(points)))
     if not kept:
         raise InvalidInputError("posteriors: expected at least one view that can be used, got none")
     return PosteriorCase(
@@ -73,11 +71,11 @@ def posterior_case(
         signed_distance=distance.numpy(),
         attached=channels.zero_displacement.bool().numpy(),
         nodes=nodes.astype(np.float32),
-        tets=reader.mesh.tets.astype(np.int32),
-        cell_tet=reader.mesh.locate(cells).astype(np.int32),
+        tets=mesh.tets.astype(np.int32),
+        cell_tet=mesh.locate(cells).astype(np.int32),
         points=sample.vertices,
         truth=sample.displacement,
-        point_tet=reader.mesh.locate(points).astype(np.int32),
+        point_tet=mesh.locate(points).astype(np.int32),
         displacement=np.stack([view["displacement"] for view in kept]).astype(np.float32),
         sigma=np.stack([view["sigma"] for view in kept]).astype(np.float16),
         visible=np.stack([view["visible"] for view in kept]),
@@ -90,8 +88,8 @@ def posterior_case(
     )
 
 
-def _seen(view: View, reader: PosteriorReader, estimate: ElasticEstimate, points: int) -> dict[str, Any]:
-    misfit = reader.misfit(estimate)
+def _seen(view: View, estimate: ElasticEstimate, points: int) -> dict[str, Any]:
+    misfit = seen_misfit(estimate)
     visible: NDArray[np.bool_] = np.zeros(points, dtype=bool)
     visible[: len(view.visible)] = view.visible
     return {

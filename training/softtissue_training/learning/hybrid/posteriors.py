@@ -47,7 +47,19 @@ _VERSION = 1
 # Imported by the estimator without changing what it answers.
 _WITHOUT_INFLUENCE = frozenset(
     {"cache", "config", "device", "errors", "estimator", "mesh_io", "organ", "organ_file", "stopwatch"}
+    | {
+        "cell_surface",
+        "cells_worker",
+        "isolated",
+        "msh_files",
+        "obj_files",
+        "organ_checks",
+        "surface_repair",
+        "trimesh_files",
+        "vtk_files",
+    }
 )
+_ELASTIC = ("poisson_ratio", "poisson_ratio_sigma", "prior_sigma_m", "model_sigma_m", "attachment_length_m")
 _Result = tuple[str, bytes, list[str], int]
 
 
@@ -77,7 +89,7 @@ class PosteriorReport:
 def posterior_settings(recipe: ViewRecipe, spec: HybridSpec) -> dict[str, Any]:
     """Return all that stored posteriors depend on beside the simulations: views, grid, estimator and its code."""
     settings = asdict(EstimatorConfig())
-    elastic = {name: settings[name] for name in ("poisson_ratio", "prior_sigma_m", "model_sigma_m")}
+    elastic = {name: settings[name] for name in _ELASTIC}
     grid = {
         "spacing": spec.spacing,
         "margin_cells": spec.margin_cells,

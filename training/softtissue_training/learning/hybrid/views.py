@@ -12,7 +12,7 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.mesh import SurfaceMesh, face_areas, sample_faces
 from softtissue_estimator.observation import Observation, make_observation
 from softtissue_estimator.organ import Organ
-from softtissue_training.organs.surface_patch import grow_patch, resized, surface_distance
+from softtissue_training.organs.surface_patch import draw_faces, resized
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -67,6 +67,12 @@ class ViewRecipe:
         if self.views < 1:
             raise InvalidInputError(f"views of each load case: expected at least 1, got {self.views}")
 
+    def draw_share(self, rng: np.random.Generator) -> float:
+        """Draw the visible share of one view."""
+        if rng.random() < 0.5:
+            return float(np.exp(rng.uniform(*np.log(self.visible_share))))
+        return float(rng.uniform(*self.common_share))
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -114,13 +120,7 @@ def draw_view(organ: Organ, displacement: FloatArray, recipe: ViewRecipe, rng: n
         Too few points are seen for any estimator.
     """
     surface, areas = organ.surface, face_areas(organ.surface)
-    start = int(rng.choice(len(areas), p=areas / areas.sum()))
-    faces = grow_patch(
-        surface_distance(surface, int(surface.faces[start, 0])),
-        surface.faces,
-        areas,
-        _draw_share(recipe, rng),
-    )
+    faces = draw_faces(surface, recipe.draw_share, rng)
     points, face, weights = sample_faces(surface, faces, recipe.spacing_m)
     moved = np.einsum("ka,kac->kc", weights, displacement[surface.faces[face]])
     if rng.random() < recipe.sparse:
@@ -134,9 +134,3 @@ def draw_view(organ: Organ, displacement: FloatArray, recipe: ViewRecipe, rng: n
     visible = np.zeros(len(surface.vertices), dtype=bool)
     visible[surface.faces[faces]] = True
     return View(observation, visible, float(areas[faces].sum() / areas.sum()), noise_m)
-
-
-def _draw_share(recipe: ViewRecipe, rng: np.random.Generator) -> float:
-    if rng.random() < 0.5:
-        return float(np.exp(rng.uniform(*np.log(recipe.visible_share))))
-    return float(rng.uniform(*recipe.common_share))

@@ -1,0 +1,172 @@
+"""How long each stage of a frame takes in the estimator's own process, without ROS."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.estimator import Estimator, create_estimator
+from softtissue_estimator.observation import make_observation
+from softtissue_estimator.organ import Organ
+from softtissue_estimator.stopwatch import Stopwatch
+from softtissue_estimator.visibility import visible_fraction
+from softtissue_training.evaluation.benchmark.machine import machine
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+_VISIBLE_SHARE = 0.4  # of the triangles
+_PERIOD_S = 3.0
+_LARGEST_M = 0.015
+_NOISE_M = 0.0005
+_WARM_UP = 2  # frames, in which libraries set themselves up
+
+
+@dataclass(frozen=True)
+class TimingPlan:
+    """What is timed.
+
+    Parameters
+    ----------
+    estimators : tuple of str
+        Names for `create_estimator`.
+    points : tuple of int
+        Tracked points of a frame.
+    frames : int
+        Of each combination.
+    rate_hz : float
+        Of the frames; what an estimator does between them is part of a stream. 0 for no pause.
+    """
+
+    estimators: tuple[str, ...] = ("elastic", "hybrid", "paper")
+    points: tuple[int, ...] = (1_000, 10_000, 40_000)
+    frames: int = 100
+    rate_hz: float = 30.0
+
+
+class BendingOrgan:
+    """Observations of an organ of which one end swings up and down by 15 mm every three seconds.
+
+    Seen are points drawn from the 40 % of its triangles that lie highest; every component has noise of 0.5 mm.
+    """
+
+    def __init__(self, organ: Organ, count: int, rng: np.random.Generator) -> None:
+        surface = organ.surface
+        extent = np.ptp(surface.vertices, axis=0)
+        self._along, self._up = int(extent.argmax()), int(extent.argmin())
+        height = surface.triangles[:, :, self._up].mean(axis=1)
+        seen = np.flatnonzero(height >= np.quantile(height, 1.0 - _VISIBLE_SHARE))
+        weights = rng.dirichlet(np.ones(3), size=count)
+        corners = surface.triangles[rng.choice(seen, size=count)]
+        self.reference: FloatArray = np.einsum("nc,ncd->nd", weights, corners)
+        along = self.reference[:, self._along]
+        self._lever = ((along - along.min()) / np.ptp(along)) ** 2
+        self._rng = rng
+
+    def points(self, time_s: float) -> FloatArray:
+        """Where the points are seen, (n, 3) m."""
+        moved = self.reference + self._rng.normal(scale=_NOISE_M, size=self.reference.shape)
+        share = 0.5 * (1.0 - np.cos(2.0 * np.pi * time_s / _PERIOD_S))
+        moved[:, self._up] += _LARGEST_M * share * self._lever
+        return moved
+
+
+def time_frames(
+    estimator: Estimator, organ: Organ, config: EstimatorConfig, scene: BendingOrgan, plan: TimingPlan
+) -> list[dict[str, float]]:
+    """Seconds of each stage of every frame; 'total' is that of all of them."""
+    sigma = np.full(len(scene.reference), _NOISE_M)
+    frames = []
+    interval = 1.0 / plan.rate_hz if plan.rate_hz > 0.0 else 0.0
+    due = time.monotonic()
+    for number in range(plan.frames):
+        # A stream without pauses still moves, as at 30 Hz.
+        points = scene.points(number * (interval or 1.0 / 30.0))
+        time.sleep(max(0.0, due - time.monotonic()))
+        due = max(due, time.monotonic()) + interval
+        watch = Stopwatch()
+        began = time.monotonic()
+        observation, _ = make_observation(points, scene.reference, sigma, organ, config)
+        watch.lap("check")
+        estimate = estimator.estimate(observation)
+        watch.lap("estimate")
+        inner = {f"estimate/{name}": seconds for name, seconds in estimate.stages.items()}
+        visible_fraction(organ, observation)
+        watch.lap("visibility")
+        frames.append({"total": time.monotonic() - began, **watch.stages, **inner})
+    return frames
+
+
+def summarise(frames: Sequence[dict[str, float]]) -> dict[str, Any]:
+    """Milliseconds of each stage: median, 95 % and largest. The first frame, which has none before it, is apart."""
+    rest = frames[1:] or frames
+    names = {name: None for frame in frames for name in frame}
+    stages = {}
+    for name in names:
+        values = 1e3 * np.array([frame.get(name, 0.0) for frame in rest])
+        stages[name] = {
+            "p50_ms": round(float(np.median(values)), 3),
+            "p95_ms": round(float(np.quantile(values, 0.95)), 3),
+            "max_ms": round(float(values.max()), 3),
+        }
+    return {"frames": len(rest), "first_ms": round(1e3 * frames[0]["total"], 3), "stages": stages}
+
+
+def measure(
+    organ: Organ, plan: TimingPlan, config: EstimatorConfig, seed: int, progress: Progress
+) -> dict[str, Any]:
+    """Time every estimator with every number of points; returns what `timing.json` holds.
+
+    Raises
+    ------
+    SoftTissueError
+        If an estimator cannot be made or the organ cannot be used.
+    """
+    results = []
+    for name in plan.estimators:
+        own = dataclasses.replace(config, estimator=name)
+        estimator = create_estimator(own)
+        try:
+            estimator.load_organ(organ, progress)
+            for count in plan.points:
+                progress(f"{name}, {count} points: {plan.frames} frames")
+                warm = BendingOrgan(organ, count, np.random.default_rng(seed))
+                time_frames(estimator, organ, own, warm, dataclasses.replace(plan, frames=_WARM_UP))
+                estimator.forget()
+                scene = BendingOrgan(organ, count, np.random.default_rng(seed))
+                frames = time_frames(estimator, organ, own, scene, plan)
+                estimator.forget()
+                what = {"estimator": name, "device": estimator.device, "points": count}
+                results.append({**what, **summarise(frames)})
+        finally:
+            estimator.close()
+    return {
+        "machine": machine(),
+        "organ": organ.name,
+        "tracking": config.tracking,
+        "rate_hz": plan.rate_hz,
+        "results": results,
+    }
+
+
+def table(summary: dict[str, Any]) -> str:
+    """Return p50 / p95 of every stage, ms, as Markdown: a row a stage, a column an estimator and number of points."""
+    results = summary["results"]
+    names = list(dict.fromkeys(name for row in results for name in row["stages"]))
+    lines = [
+        "| stage | " + " | ".join(f"{row['estimator']} {row['points']}" for row in results) + " |",
+        "| --- |" + " --- |" * len(results),
+    ]
+    for name in names:
+        found = (row["stages"].get(name) for row in results)
+        cells = (f"{stage['p50_ms']:.2f} / {stage['p95_ms']:.2f}" if stage else "" for stage in found)
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    lines.append("| first frame | " + " | ".join(f"{row['first_ms']:.1f}" for row in results) + " |")
+    return "\n".join(lines)

@@ -1,0 +1,69 @@
+"""Registrations on disk, so that the same command finds the same surface again and goes on from there."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from pathlib import Path
+
+import numpy as np
+
+import softtissue_estimator
+import softtissue_training
+from softtissue_estimator.rigid import RigidMotion
+from softtissue_training.experiments.breathing.case import BreathingCase
+from softtissue_training.experiments.breathing.surface_tracking import TRACKERS, Progress, Tracked
+
+
+def track_once(
+    name: str, case: BreathingCase, motion: RigidMotion, folder: Path, progress: Progress
+) -> tuple[Tracked, float]:
+    """Track the surface in one of `TRACKERS`' ways, unless that was done before, and return also the seconds it took.
+
+    The tetrahedra of an organ differ a little from one filling to the next, and so does what is found with them.
+
+    Parameters
+    ----------
+    folder
+        Where what is found is kept and looked for.
+    """
+    path = folder / f"tracking-{name}-{_key(case, motion)}.npz"
+    if path.is_file():
+        with np.load(path, allow_pickle=False) as file:
+            motion = RigidMotion(file["rotation"], file["translation"])
+            return Tracked(motion, file["displacement"], file["sigma"]), float(file["seconds"])
+    start = time.perf_counter()
+    tracked = TRACKERS[name](case, motion, progress)
+    seconds = time.perf_counter() - start
+    folder.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".partial.npz")
+    np.savez_compressed(
+        partial,
+        rotation=tracked.motion.rotation,
+        translation=tracked.motion.translation,
+        displacement=tracked.displacement,
+        sigma=tracked.sigma,
+        seconds=seconds,
+    )
+    # Under its name a file is complete.
+    partial.replace(path)
+    return tracked, seconds
+
+
+def _key(case: BreathingCase, motion: RigidMotion) -> str:
+    """Hash of all that a registration depends on: the case, the pose that it starts from, and the code."""
+    content = hashlib.sha256(f"{case.organ.digest}\0{case.alignment}".encode())
+    arrays = [case.surface.vertices, case.surface.faces, motion.rotation, motion.translation]
+    if case.truth is not None:
+        arrays += [case.truth.before, case.truth.after]
+    for array in arrays:
+        content.update(f"{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+    training = Path(softtissue_training.__file__).parent
+    sources = [
+        training / "experiments" / "breathing" / "surface_tracking.py",
+        *sorted((training / "registration").glob("*.py")),
+        *sorted(Path(softtissue_estimator.__file__).parent.glob("*.py")),
+    ]
+    for source in sources:
+        content.update(source.read_bytes())
+    return content.hexdigest()[:16]

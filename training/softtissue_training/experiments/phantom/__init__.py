@@ -1,0 +1,1 @@
+"""The phantom experiment: markers inside an organ, whose deformed surface was observed."""

@@ -1,0 +1,237 @@
+"""What estimators are shown of one phantom case: its correspondences, few of them, or ones that were made."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.estimator import silent
+from softtissue_estimator.mesh import sample_faces
+from softtissue_estimator.observation import Observation, make_observation
+from softtissue_estimator.visibility import visible_fraction
+from softtissue_training.evaluation.methods import Reading
+from softtissue_training.experiments.phantom.case import PhantomCase, SeenSurface
+from softtissue_training.experiments.phantom.spread import FEWEST_POINTS, spread_correspondences
+from softtissue_training.registration.coherent_point_drift import (
+    DriftSettings,
+    coherent_point_drift,
+    spread_points,
+)
+from softtissue_training.registration.elastic_registration import register_elastically
+from softtissue_training.registration.rigid_icp import rigid_icp
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+FEW = 100
+"""Correspondences up to this number are also spread over the surface around them."""
+OWN_ANSWER = "registration"
+"""Label of the answer that a registration gives by itself."""
+_SPACING_M = 0.004
+_REACH_M = 0.008  # of the rigidly registered points: what lies further away is not taken for visible
+_OVERLAP = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """One way to observe a case.
+
+    Attributes
+    ----------
+    key
+        For files: `given`, `few`, `spread`, `registered` or `drift`.
+    title
+        For the report.
+    text
+        How the observation came about, in a few sentences.
+    observation
+        What every estimator is shown.
+    visible_share
+        Of the surface.
+    seconds
+        To make it.
+    own
+        Answer of the registration itself at the points that are asked for, where it has one.
+    details
+        Figures about it, for `report.json`.
+    """
+
+    key: str
+    title: str
+    text: str
+    observation: Observation
+    visible_share: float
+    seconds: float
+    own: Reading | None = None
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+def variants_of(case: PhantomCase, asked: FloatArray, progress: Progress = silent) -> list[Variant]:
+    """Make every observation that a case allows; the first is the one whose figures count.
+
+    Parameters
+    ----------
+    asked
+        (q, 3) m, preoperative points whose displacement is wanted.
+    """
+    found: list[Variant] = []
+    pairs = case.correspondences
+    if pairs is not None:
+        all_of_them = np.arange(len(pairs))
+        if len(pairs) > FEW:
+            found.append(_given(case, all_of_them, "given", "all correspondences"))
+        few = all_of_them if len(pairs) <= FEW else None
+        if case.sparse is not None and len(pairs) > case.sparse:
+            few = spread_points(pairs.before, case.sparse)
+        if few is not None:
+            if len(few) >= FEWEST_POINTS:
+                progress(f"spreading {len(few)} correspondences over the surface")
+                found.append(_spread(case, few))
+            found.append(_given(case, few, "few", f"{len(few)} correspondences alone"))
+    if case.surface_after is not None:
+        found.append(_registered(case, case.surface_after, asked, progress))
+        progress("coherent point drift")
+        found.append(_drift(case, case.surface_after))
+    return found
+
+
+def _given(case: PhantomCase, chosen: NDArray[np.int64], key: str, title: str) -> Variant:
+    pairs = case.correspondences
+    if pairs is None:
+        raise ValueError("expected correspondences, got none")
+    observation = _observe(case, pairs.before[chosen], pairs.displacement[chosen], case.sigma_m)
+    text = f"{len(chosen)} points of which both positions are known, standard deviation {1e3 * case.sigma_m:.2g} mm."
+    return _variant(case, key, title, text, observation, 0.0)
+
+
+def _spread(case: PhantomCase, chosen: NDArray[np.int64]) -> Variant:
+    pairs = case.correspondences
+    if pairs is None:
+        raise ValueError("expected correspondences, got none")
+    start = time.perf_counter()
+    spread = spread_correspondences(
+        case.organ.surface,
+        pairs.before[chosen],
+        pairs.displacement[chosen],
+        case.sigma_m,
+        case.spread_share,
+    )
+    # All vertices of the patch together know no more than the points that they were interpolated from.
+    sigma = spread.sigma * np.sqrt(max(1.0, len(spread.vertices) / len(chosen)))
+    at = case.organ.surface.vertices[spread.vertices]
+    # What is attached rests; an interpolation must not contradict that.
+    free = ~case.organ.attached[spread.vertices]
+    observation = _observe(case, at[free], spread.displacement[free], sigma[free])
+    text = (
+        f"{len(chosen)} points spread over {100 * spread.share:.1f} % of the surface by a Gaussian random field on it "
+        f"(range {1e3 * spread.range_m:.0f} mm, {1e3 * spread.amplitude_m:.1f} mm about a rigid motion); its standard "
+        f"deviation grows from {1e3 * spread.sigma.min():.1f} to {1e3 * spread.sigma.max():.1f} mm. Estimators that "
+        "weigh what they see are told that neighbours are not independent."
+    )
+    details = {
+        "share": spread.share,
+        "range_mm": 1e3 * spread.range_m,
+        "amplitude_mm": 1e3 * spread.amplitude_m,
+        "sigma_mm": {"least": 1e3 * spread.sigma.min(), "most": 1e3 * spread.sigma.max()},
+    }
+    title = f"{len(chosen)} correspondences, spread"
+    return _variant(case, "spread", title, text, observation, time.perf_counter() - start, None, details)
+
+
+def _registered(case: PhantomCase, seen: SeenSurface, asked: FloatArray, progress: Progress) -> Variant:
+    start = time.perf_counter()
+    found = register_elastically(
+        seen.points, case.organ, asked, case.sigma_m, normals=seen.normals, progress=progress
+    )
+    seconds = time.perf_counter() - start
+    reference, points = found.reference[found.counted], seen.points[found.counted]
+    observation = _observe(case, reference, points - reference, case.sigma_m)
+    text = (
+        f"Only {len(seen.points)} points of the deformed surface: rigid registration (root mean square distance "
+        f"{1e3 * found.rigid.rms_m:.1f} mm), then the elastic posterior and closest points in turn "
+        f"({1e3 * found.rms_m:.1f} mm at the end). {OWN_ANSWER!r} is the posterior that this ends with, which knows "
+        "that nothing was seen along the surface; the other estimators are given its pairs as if they had been seen."
+    )
+    details = {
+        "points": len(seen.points),
+        "counted": int(found.counted.sum()),
+        "rigid_rms_mm": 1e3 * found.rigid.rms_m,
+        "rms_mm": 1e3 * found.rms_m,
+    }
+    own = Reading(found.displacement, found.sigma, seconds)
+    return _variant(
+        case,
+        "registered",
+        "no correspondences, elastic registration",
+        text,
+        observation,
+        seconds,
+        own,
+        details,
+    )
+
+
+def _drift(case: PhantomCase, seen: SeenSurface) -> Variant:
+    start = time.perf_counter()
+    surface = case.organ.surface
+    rigid = rigid_icp(seen.points, surface, overlap=_OVERLAP)
+    points = rigid.motion.apply(seen.points)
+    samples = sample_faces(surface, None, _SPACING_M)[0]
+    near = cKDTree(points).query(samples)[0] <= _REACH_M
+    moving = samples[near]
+    drift = coherent_point_drift(moving, points, DriftSettings(start_sigma_m=_REACH_M))
+    moved = moving + drift.displacement
+    # Where nothing was observed in the end, the drift is extrapolated.
+    observed = cKDTree(points).query(moved)[0] <= max(_SPACING_M, 3.0 * drift.sigma_m)
+    moving, displacement = moving[observed], (rigid.motion.undo(moved) - moving)[observed]
+    observation = _observe(case, moving, displacement, max(case.sigma_m, drift.sigma_m))
+    text = (
+        f"Only {len(seen.points)} points of the deformed surface: rigid registration, then coherent point drift of the "
+        f"surface within {1e3 * _REACH_M:.0f} mm of them ({drift.iterations} iterations, "
+        f"{1e3 * drift.sigma_m:.1f} mm at the end)."
+    )
+    details = {
+        "points": len(seen.points),
+        "rigid_rms_mm": 1e3 * rigid.rms_m,
+        "iterations": drift.iterations,
+        "converged": drift.converged,
+        "sigma_mm": 1e3 * drift.sigma_m,
+    }
+    return _variant(
+        case,
+        "drift",
+        "no correspondences, coherent point drift",
+        text,
+        observation,
+        time.perf_counter() - start,
+        None,
+        details,
+    )
+
+
+def _observe(
+    case: PhantomCase, reference: FloatArray, displacement: FloatArray, sigma: FloatArray | float
+) -> Observation:
+    """Make an observation through the checks that the node makes too."""
+    return make_observation(reference + displacement, reference, sigma, case.organ, EstimatorConfig())[0]
+
+
+def _variant(
+    case: PhantomCase,
+    key: str,
+    title: str,
+    text: str,
+    observation: Observation,
+    seconds: float,
+    own: Reading | None = None,
+    details: dict[str, Any] | None = None,
+) -> Variant:
+    share = visible_fraction(case.organ, observation)
+    return Variant(key, title, text, observation, share, seconds, own, details or {})

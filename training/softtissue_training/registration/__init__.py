@@ -1,0 +1,1 @@
+"""Find how one surface moved to another where nobody says which point went where."""
