@@ -2,30 +2,26 @@
 
 import argparse
 import json
-import os
 import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
 from softtissue_estimator.resources import bundled_bag, bundled_checkpoint, bundled_organ
 from softtissue_estimator.ros.demo_picture import draw, read_recording
+from softtissue_estimator.ros.processes import executable, process, relay
 from softtissue_estimator.ros.scoring import failures, table
 
-PACKAGE = "softtissue_estimator"
 # Preparing an organ for the first time takes up to minutes on a busy machine; afterwards it is cached.
 START_TIMEOUT_S = 300
 SCORE_TIMEOUT_S = 60.0
-STOP_TIMEOUT_S = 8.0
 
 
 @dataclass(frozen=True)
@@ -81,54 +77,6 @@ def available_estimators() -> list[str]:
     return [default, *(name for name in others if name != default)]
 
 
-def executable(name: str) -> Path:
-    """Find an installed executable as `ros2 run` does."""
-    from ament_index_python.packages import PackageNotFoundError, get_package_prefix
-
-    try:
-        path = Path(get_package_prefix(PACKAGE)) / "lib" / PACKAGE / name
-    except PackageNotFoundError:
-        raise InvalidInputError(
-            f"package {PACKAGE}: expected it in the ament index, got nothing there"
-        ) from None
-    if not path.is_file():
-        raise InvalidInputError(f"executable {name}: expected {path}, got nothing there")
-    return path
-
-
-@contextmanager
-def process(command: list[str], **keywords: Any) -> Iterator["subprocess.Popen[str]"]:
-    """Run a process in a group of its own and end the group afterwards."""
-    child = subprocess.Popen(command, start_new_session=True, text=True, **keywords)
-    try:
-        yield child
-    finally:
-        _end(child)
-
-
-def _end(child: "subprocess.Popen[str]") -> None:
-    # Not SIGINT, at which a Python that has only just been started prints a traceback.
-    for number, patience in ((signal.SIGTERM, STOP_TIMEOUT_S), (signal.SIGKILL, STOP_TIMEOUT_S)):
-        if child.poll() is None:
-            os.killpg(child.pid, number)
-        try:
-            child.wait(patience)
-            return
-        except subprocess.TimeoutExpired:
-            continue
-
-
-def _relay(stream: TextIO, log: Path) -> None:
-    """Write a process's lines to a file, and to the terminal those that say how it goes on."""
-    with log.open("w", encoding="utf-8") as file:
-        for line in stream:
-            file.write(line)
-            file.flush()
-            # Warnings come with every late frame; the table counts them.
-            if "[WARN]" not in line:
-                print(f"  node: {line.rstrip()}", flush=True)
-
-
 def run_estimator(estimator: str, options: Options, snapshot_ns: int) -> dict[str, Any]:
     """Replay the bag into a node with one estimator; return the report of the score.
 
@@ -159,7 +107,7 @@ def run_estimator(estimator: str, options: Options, snapshot_ns: int) -> dict[st
         process(replay) as replay_process,
     ):
         threading.Thread(
-            target=_relay, args=(node_process.stderr, folder / "node.log"), name="relay", daemon=True
+            target=relay, args=(node_process.stderr, folder / "node.log"), name="relay", daemon=True
         ).start()
         _wait(replay_process, "replay", START_TIMEOUT_S + SCORE_TIMEOUT_S, [node_process, score_process])
         _wait(score_process, "score", SCORE_TIMEOUT_S, [node_process])

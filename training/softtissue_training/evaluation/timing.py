@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softtissue_estimator.bending_organ import NOISE_M, BendingOrgan
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimator import Estimator, create_estimator
 from softtissue_estimator.observation import make_observation
@@ -19,13 +19,8 @@ from softtissue_estimator.stopwatch import Stopwatch
 from softtissue_estimator.visibility import visible_fraction
 from softtissue_training.evaluation.benchmark.machine import machine
 
-FloatArray = NDArray[np.float64]
 Progress = Callable[[str], None]
 
-_VISIBLE_SHARE = 0.4  # of the triangles
-_PERIOD_S = 3.0
-_LARGEST_M = 0.015
-_NOISE_M = 0.0005
 _WARM_UP = 2  # frames, in which libraries set themselves up
 
 
@@ -51,38 +46,11 @@ class TimingPlan:
     rate_hz: float = 30.0
 
 
-class BendingOrgan:
-    """Observations of an organ of which one end swings up and down by 15 mm every three seconds.
-
-    Seen are points drawn from the 40 % of its triangles that lie highest; every component has noise of 0.5 mm.
-    """
-
-    def __init__(self, organ: Organ, count: int, rng: np.random.Generator) -> None:
-        surface = organ.surface
-        extent = np.ptp(surface.vertices, axis=0)
-        self._along, self._up = int(extent.argmax()), int(extent.argmin())
-        height = surface.triangles[:, :, self._up].mean(axis=1)
-        seen = np.flatnonzero(height >= np.quantile(height, 1.0 - _VISIBLE_SHARE))
-        weights = rng.dirichlet(np.ones(3), size=count)
-        corners = surface.triangles[rng.choice(seen, size=count)]
-        self.reference: FloatArray = np.einsum("nc,ncd->nd", weights, corners)
-        along = self.reference[:, self._along]
-        self._lever = ((along - along.min()) / np.ptp(along)) ** 2
-        self._rng = rng
-
-    def points(self, time_s: float) -> FloatArray:
-        """Where the points are seen, (n, 3) m."""
-        moved = self.reference + self._rng.normal(scale=_NOISE_M, size=self.reference.shape)
-        share = 0.5 * (1.0 - np.cos(2.0 * np.pi * time_s / _PERIOD_S))
-        moved[:, self._up] += _LARGEST_M * share * self._lever
-        return moved
-
-
 def time_frames(
     estimator: Estimator, organ: Organ, config: EstimatorConfig, scene: BendingOrgan, plan: TimingPlan
 ) -> list[dict[str, float]]:
     """Seconds of each stage of every frame; 'total' is that of all of them."""
-    sigma = np.full(len(scene.reference), _NOISE_M)
+    sigma = np.full(len(scene.reference), NOISE_M)
     frames = []
     interval = 1.0 / plan.rate_hz if plan.rate_hz > 0.0 else 0.0
     due = time.monotonic()
