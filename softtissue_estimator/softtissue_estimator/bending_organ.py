@@ -18,7 +18,8 @@ class BendingOrgan:
     """Observations of an organ of which one end swings up and down.
 
     Seen are points drawn from the 40 % of its triangles that lie highest; every component has noise of 0.5 mm. The
-    motion is prescribed, not a solution of elasticity: it loads an estimator as a real one does, its error says nothing.
+    motion is prescribed and no solution of elasticity: it takes an estimator as long as a real one, its error says
+    nothing.
 
     Parameters
     ----------
