@@ -16,7 +16,6 @@ pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
 from integration.harness import Client, NodeProcess, Scene, executable, nanoseconds, new_domain, write_organ
-
 from softtissue_estimator.ros.watchdog import TRANSPORT_HINT
 
 SOAK_S = float(os.environ.get("SOFTTISSUE_SOAK_S", "10"))

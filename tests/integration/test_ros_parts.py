@@ -152,8 +152,9 @@ def test_silence_names_its_cause():
     assert say(9.0, 1) is None
     assert say(None, 0) is None
     assert "FASTDDS_DEFAULT_PROFILES_FILE" in say(None, 1)
-    assert "FASTDDS" not in say(7.0, 1) and "got none for 3.0 s" in say(7.0, 1)
-    assert "gone" in say(7.0, 0)
+    # Also after a first one: of large clouds the first often gets through.
+    assert "FASTDDS" in say(7.0, 1) and "got none for 3.0 s" in say(7.0, 1)
+    assert "gone" in say(7.0, 0) and "FASTDDS" not in say(7.0, 0)
     assert silence(6.9, 5.0, None, 1, 2.0, "/t") is None
 
 

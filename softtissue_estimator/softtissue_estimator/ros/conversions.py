@@ -32,21 +32,16 @@ _TYPE_NAME = {
 _POSITION = ("x", "y", "z")
 _REFERENCE = ("ref_x", "ref_y", "ref_z")
 
-# One vertex in `~/deformed_points`, as PRODUCT.md's table of topics lists it.
-_ANSWER = np.dtype(
-    [(name, "<f4") for name in ("x", "y", "z", "dx", "dy", "dz")] + [("structure", "<u4"), ("sigma", "<f4")]
-)
-
 
 @dataclass(frozen=True)
 class Cloud:
-    """A point cloud as arrays.
+    """A point cloud as arrays, which are views of the message's own memory where its layout allows.
 
     Attributes
     ----------
-    points : (n, 3) float64
+    points : (n, 3) float32 or float64, read-only
         Positions, m, in `frame`; rows as in the message, NaN included.
-    reference : (n, 3) float64 or None
+    reference : (n, 3) float32 or float64, read-only, or None
         Preoperative positions (fields ref_x ref_y ref_z), m, organ frame; None if the message has no such fields.
     frame : str
         Frame of `points`.
@@ -54,8 +49,8 @@ class Cloud:
         Stamp of the message, nanoseconds.
     """
 
-    points: FloatArray
-    reference: FloatArray | None
+    points: NDArray[np.floating]
+    reference: NDArray[np.floating] | None
     frame: str
     stamp_ns: int
 
@@ -105,17 +100,30 @@ def read_cloud(message: PointCloud2) -> Cloud:
     InvalidInputError
         If the cloud is empty, lacks x, y or z, or its sizes contradict each other.
     """
-    names = _POSITION + (_REFERENCE if carries_reference(message) else ())
-    table = _table(message, names)
-    columns = np.empty((table.size, len(names)))
-    for column, name in enumerate(names):
-        columns[:, column] = table[name].reshape(-1)
+    carries = not set(_REFERENCE).isdisjoint(field_names(message))
+    table = _table(message, _POSITION + (_REFERENCE if carries else ()))
     return Cloud(
-        points=np.ascontiguousarray(columns[:, :3]),
-        reference=np.ascontiguousarray(columns[:, 3:]) if len(names) > 3 else None,
+        points=_columns(table, _POSITION),
+        reference=_columns(table, _REFERENCE) if carries else None,
         frame=message.header.frame_id,
         stamp_ns=stamp_ns(message.header.stamp),
     )
+
+
+def _columns(table: NDArray[Any], names: tuple[str, ...]) -> NDArray[np.floating]:
+    """Return fields of (height, width) records as columns, (height width, k), read-only; a view if they lie evenly."""
+    fields: Any = table.dtype.fields
+    kinds = {fields[name][0] for name in names}
+    gaps = set(np.diff([fields[name][1] for name in names]))
+    if len(kinds) == len(gaps) == 1:
+        first = table[names[0]]
+        strides = (*first.strides, int(gaps.pop()))
+        columns = np.lib.stride_tricks.as_strided(first, (*first.shape, len(names)), strides)
+    else:
+        columns = np.stack([table[name] for name in names], axis=-1)
+    columns = columns.reshape(-1, len(names))  # copies where rows are padded
+    columns.flags.writeable = False
+    return columns
 
 
 def _table(message: PointCloud2, names: tuple[str, ...]) -> NDArray[Any]:
@@ -189,40 +197,6 @@ def read_transform(message: TransformStamped) -> FloatArray:
     matrix[:3, :3] = Rotation.from_quat(quaternion / length).as_matrix()
     matrix[:3, 3] = shift
     return matrix
-
-
-def answer_cloud(
-    positions: FloatArray,
-    displacement: FloatArray,
-    structure: NDArray[np.uint32],
-    sigma: FloatArray | None,
-    frame: str,
-    stamp: int,
-) -> PointCloud2:
-    """Build the message of `~/deformed_points`.
-
-    Parameters
-    ----------
-    positions : (k, 3) float64
-        Intraoperative positions, m, in `frame`.
-    displacement : (k, 3) float64
-        Intraoperative minus preoperative positions, m, in `frame`.
-    structure : (k,) uint32
-        Which structure each point belongs to.
-    sigma : (k,) float64 or None
-        Predicted standard deviation of each component, m; None becomes NaN.
-    frame : str
-        The organ's frame.
-    stamp : int
-        Stamp of the cloud that is answered, nanoseconds.
-    """
-    records = np.empty(len(positions), dtype=_ANSWER)
-    for axis, (position, moved) in enumerate((("x", "dx"), ("y", "dy"), ("z", "dz"))):
-        records[position] = positions[:, axis]
-        records[moved] = displacement[:, axis]
-    records["structure"] = structure
-    records["sigma"] = np.nan if sigma is None else sigma
-    return make_cloud(records, frame, stamp)
 
 
 def make_cloud(records: NDArray[Any], frame: str, stamp: int) -> PointCloud2:

@@ -102,10 +102,10 @@ def draw(recording: Recording, organ_folder: Path, snapshot: Path, estimator: st
     markers = _markers(recording.markers.get(stamp), estimated_markers)
     scene = Scene(
         organ=organ,
-        reference=cloud.reference,
+        reference=np.asarray(cloud.reference, dtype=np.float64),
         observed=transform_points(motion, cloud.points),
         estimated=estimated,
-        true=None if truth is None else truth.points,
+        true=None if truth is None else np.asarray(truth.points, dtype=np.float64),
         markers=markers,
     )
     title = f"{organ.name}, estimator {estimator}, {seconds:.1f} s into the recording"
@@ -115,7 +115,8 @@ def draw(recording: Recording, organ_folder: Path, snapshot: Path, estimator: st
 def _markers(recorded: Cloud | None, estimated: FloatArray) -> Markers | None:
     if recorded is None or recorded.reference is None or len(estimated) != len(recorded.points):
         return None
-    return Markers(before=recorded.reference, estimated=estimated, true=recorded.points)
+    before, true = (np.asarray(part, dtype=np.float64) for part in (recorded.reference, recorded.points))
+    return Markers(before=before, estimated=estimated, true=true)
 
 
 def _caption(markers: Markers | None) -> str:

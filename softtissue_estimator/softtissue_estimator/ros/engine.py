@@ -10,6 +10,7 @@ from softtissue_estimator.estimator import Estimator, create_estimator
 from softtissue_estimator.log_lines import log_lines
 from softtissue_estimator.organ import Organ, load_organ
 from softtissue_estimator.resources import bundled_organ
+from softtissue_estimator.ros.answer_buffer import AnswerBuffer
 from softtissue_estimator.ros.frames import unmoved
 from softtissue_estimator.ros.markers import MarkerBuffer
 from softtissue_estimator.ros.status import Setup
@@ -21,6 +22,7 @@ class Engine:
 
     organ: Organ
     estimator: Estimator
+    points: AnswerBuffer
     markers: MarkerBuffer
 
     @property
@@ -54,9 +56,9 @@ def load_engine(folder: str, config: EstimatorConfig, say: Callable[[str], None]
     estimator.load_organ(organ, say)
     # Libraries set themselves up in the first estimate, which would make the first cloud late.
     estimator.estimate(unmoved(organ, config))
-    markers = MarkerBuffer(organ, config.no_data_timeout_s)
+    points, markers = AnswerBuffer(organ), MarkerBuffer(organ, config.no_data_timeout_s)
     say(
         f"organ {organ.name!r} with {len(organ.structures)} structures is ready after"
         f" {time.monotonic() - began:.1f} s: estimator {estimator.name!r} on {estimator.device}"
     )
-    return Engine(organ, estimator, markers)
+    return Engine(organ, estimator, points, markers)

@@ -124,7 +124,7 @@ def answer_frame(
 
 def _correspondences(
     frame: Frame, cloud: Cloud, organ_frame: str
-) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+) -> tuple[NDArray[np.floating], NDArray[np.floating], FloatArray | None]:
     """Return the tracked points (cloud's frame), their preoperative positions (organ's frame) and sigma, m."""
     if frame.correspondences is not None:
         got = frame.correspondences.header.frame_id
@@ -136,7 +136,11 @@ def _correspondences(
         return cloud.points[pairs.index], pairs.reference, pairs.sigma
     if cloud.reference is None:
         raise InvalidInputError("cloud: expected fields ref_x ref_y ref_z or correspondences, got neither")
-    tracked = np.isfinite(cloud.reference.sum(axis=1))
+    with np.errstate(invalid="ignore", over="ignore"):
+        x, y, z = cloud.reference.T
+        tracked = np.isfinite(x + y + z)
+    if tracked.all():
+        return cloud.points, cloud.reference, None
     if not tracked.any():
         raise InvalidInputError(
             f"cloud: expected finite ref_x ref_y ref_z in some points, got none in {len(tracked)} points"

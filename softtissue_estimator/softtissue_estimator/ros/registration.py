@@ -80,9 +80,11 @@ def _inverse(motion: FloatArray) -> FloatArray:
     return inverse
 
 
-def transform_points(motion: FloatArray, points: FloatArray) -> FloatArray:
-    """Apply a (4, 4) rigid motion to (n, 3) points, m."""
-    moved: FloatArray = points @ motion[:3, :3].T + motion[:3, 3]
+def transform_points(motion: FloatArray, points: NDArray[np.floating]) -> FloatArray:
+    """Apply a (4, 4) rigid motion to (n, 3) points, m; the result is float64."""
+    # dot, because for a transposed 3 x 3 matrix the operator takes several times as long.
+    moved: FloatArray = np.dot(points.astype(np.float64, order="C"), motion[:3, :3].T)
+    moved += motion[:3, 3]
     return moved
 
 

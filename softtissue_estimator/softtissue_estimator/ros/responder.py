@@ -10,7 +10,7 @@ from sensor_msgs.msg import PointCloud2
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import SoftTissueError
-from softtissue_estimator.ros.conversions import answer_cloud, stamp_ns
+from softtissue_estimator.ros.conversions import stamp_ns
 from softtissue_estimator.ros.counters import FrameCounters
 from softtissue_estimator.ros.engine import Engine
 from softtissue_estimator.ros.frames import Answer, Frame, answer_frame, doubts
@@ -140,18 +140,10 @@ class Responder:
 
     def _publish(self, frame: Frame, answer: Answer, engine: Engine, config: EstimatorConfig) -> None:
         began = time.monotonic()
-        inside = len(answer.organ.structure_points)
-        sigma = answer.estimate.sigma
         self._answer = answer
+        estimate = answer.estimate
         self._outputs.points.publish(
-            answer_cloud(
-                answer.positions[:inside],
-                answer.estimate.displacement[:inside],
-                answer.organ.structure_index,
-                None if sigma is None else sigma[:inside],
-                answer.organ.frame,
-                answer.stamp_ns,
-            )
+            engine.points.serialised(answer.positions, estimate.displacement, estimate.sigma, answer.stamp_ns)
         )
         published = time.monotonic()
         if self._outputs.markers.get_subscription_count() > 0:

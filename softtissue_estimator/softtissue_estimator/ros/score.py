@@ -177,8 +177,8 @@ class Listener:
         if cloud.reference is None:
             self.problem = "markers_truth: expected fields ref_x ref_y ref_z, got none of them"
             return
-        self.record.reference = cloud.reference
-        self.record.truth[cloud.stamp_ns] = cloud.points
+        self.record.reference = np.asarray(cloud.reference, dtype=np.float64)
+        self.record.truth[cloud.stamp_ns] = np.asarray(cloud.points, dtype=np.float64)
 
     def _on_status(self, message: Any) -> None:
         self.last_news_s = time.monotonic()
