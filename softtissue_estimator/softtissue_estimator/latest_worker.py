@@ -15,14 +15,21 @@ class LatestWorker(Generic[ItemT]):
     work : callable
     on_crash : callable
         Takes what `work` raised; the thread ends with it.
+    name : str
+        Of the thread.
     """
 
-    def __init__(self, work: Callable[[ItemT], None], on_crash: Callable[[BaseException], None]) -> None:
+    def __init__(
+        self,
+        work: Callable[[ItemT], None],
+        on_crash: Callable[[BaseException], None],
+        name: str = "estimate",
+    ) -> None:
         self._work, self._on_crash = work, on_crash
         self._condition = threading.Condition()
         self._item: ItemT | None = None
         self._stopping = False
-        self._thread = threading.Thread(target=self._run, name="estimate", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def put(self, item: ItemT) -> ItemT | None:

@@ -19,12 +19,12 @@ from visualization_msgs.msg import MarkerArray
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
-from softtissue_estimator.latest_worker import LatestWorker
 from softtissue_estimator.ros import parameters
 from softtissue_estimator.ros.counters import FrameCounters
 from softtissue_estimator.ros.engine import Engine, load_engine
 from softtissue_estimator.ros.frames import Frame
 from softtissue_estimator.ros.intake import Intake, Received
+from softtissue_estimator.ros.pipeline import Pipeline
 from softtissue_estimator.ros.registration import Registration, tf_source
 from softtissue_estimator.ros.responder import Outputs, Responder
 from softtissue_estimator.ros.services import answer_warp, loaded
@@ -77,7 +77,7 @@ class EstimatorNode(LifecycleNode):
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
         self._responder = Responder(outputs, self._counters, self._registration, lambda: self._config)
-        self._worker: LatestWorker[Frame] | None = None
+        self._pipeline: Pipeline | None = None
         self._intake: Intake | None = None
         self._loading = threading.Lock()
         self._active_since_s = self._silence_said_s = 0.0
@@ -166,7 +166,7 @@ class EstimatorNode(LifecycleNode):
 
     def _activate(self) -> None:
         self._responder.reset()
-        self._worker = LatestWorker(self._responder.work, self._on_crash)
+        self._pipeline = Pipeline(self._responder, self._counters, self._on_crash)
         self._active_since_s, self._silence_said_s = time.monotonic(), -SILENCE_PERIOD_S
         self._intake = Intake(
             self, self._counters, self._registration, self._on_frame, self._responder.refuse, self._warn
@@ -177,9 +177,9 @@ class EstimatorNode(LifecycleNode):
         if self._intake is not None:
             self._intake.close()
             self._intake = None
-        if self._worker is not None:
-            self._worker.stop(STOP_TIMEOUT_S)
-            self._worker = None
+        if self._pipeline is not None:
+            self._pipeline.stop(STOP_TIMEOUT_S)
+            self._pipeline = None
         self._responder.reset()
 
     def _clean_up(self) -> None:
@@ -187,8 +187,8 @@ class EstimatorNode(LifecycleNode):
         self._responder.use(None)
 
     def close(self, timeout_s: float) -> bool:
-        """Stop working; return whether the thread of the estimates ended in time."""
-        return self._worker is None or self._worker.stop(timeout_s)
+        """Stop working; return whether its threads ended in time."""
+        return self._pipeline is None or self._pipeline.stop(timeout_s)
 
     def _load(self, folder: str) -> Engine:
         return load_engine(folder, self._config, self.get_logger().info)
@@ -197,8 +197,8 @@ class EstimatorNode(LifecycleNode):
 
     def _on_frame(self, received: Received) -> None:
         frame = Frame(received.cloud, received.correspondences, received.received_s, self._responder.epoch)
-        if self._worker is not None and self._worker.put(frame) is not None:
-            self._counters.add(dropped=1)
+        if self._pipeline is not None:
+            self._pipeline.put(frame)
 
     # Timers
 
@@ -289,8 +289,8 @@ class EstimatorNode(LifecycleNode):
             return response
         if self._intake is not None:
             self._intake.clear()
-        if self._worker is not None:
-            self._worker.take_back()
+        if self._pipeline is not None:
+            self._pipeline.clear()
         self._responder.reset()
         return response
 

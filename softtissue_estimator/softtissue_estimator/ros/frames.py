@@ -96,7 +96,7 @@ def answer_frame(
     watch.lap("wait")
     cloud = read_cloud(frame.cloud)
     motion = registration.organ_from_cloud(cloud.frame, organ.frame, cloud.stamp_ns)
-    points, reference, sigma = _correspondences(frame, cloud, organ.frame)
+    points, reference, sigma = tracked_points(frame, cloud, organ.frame)
     points = transform_points(motion, points)
     watch.lap("read")
     observation, rejected = make_observation(points, reference, sigma, organ, config)
@@ -122,7 +122,7 @@ def answer_frame(
     )
 
 
-def _correspondences(
+def tracked_points(
     frame: Frame, cloud: Cloud, organ_frame: str
 ) -> tuple[NDArray[np.floating], NDArray[np.floating], FloatArray | None]:
     """Return the tracked points (cloud's frame), their preoperative positions (organ's frame) and sigma, m."""

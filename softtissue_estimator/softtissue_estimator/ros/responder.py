@@ -1,4 +1,4 @@
-"""Answers frames in the worker's thread and publishes what became of them."""
+"""Answers frames and publishes what became of them."""
 
 import threading
 import time
@@ -27,6 +27,32 @@ class Outputs:
     markers: Any
     status: Any
     warn: Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a frame: an answer, or a reason to refuse it.
+
+    Attributes
+    ----------
+    frame : Frame
+    engine : Engine
+        What made it.
+    config : EstimatorConfig
+        As it was then.
+    made_s : float
+        When it was made, monotonic clock, s.
+    answer : Answer or None
+    refusal : str
+        One sentence; empty where there is an answer.
+    """
+
+    frame: Frame
+    engine: Engine
+    config: EstimatorConfig
+    made_s: float
+    answer: Answer | None = None
+    refusal: str = ""
 
 
 class Responder:
@@ -114,34 +140,46 @@ class Responder:
             self._engine.estimator.forget()
             self._outputs.markers.publish(delete_all(self._engine.organ.frame))
 
-    def work(self, frame: Frame) -> None:
-        """Answer a frame."""
+    def estimate(self, frame: Frame) -> Outcome | None:
+        """Make an answer of a frame, or a reason to refuse it; None where nothing is loaded any more."""
         engine, config = self._engine, self._config()
         if engine is None:
-            return
+            return None
         try:
             answer = answer_frame(frame, engine.organ, engine.estimator, config, self._registration)
         except SoftTissueError as error:
-            with self._lock:
-                if self._wanted(frame, engine):
-                    self.refuse(frame.cloud, str(error))
-            return
-        with self._lock:
-            if self._wanted(frame, engine):
-                self._publish(frame, answer, engine, config)
+            return Outcome(frame, engine, config, time.monotonic(), refusal=str(error))
+        return Outcome(frame, engine, config, time.monotonic(), answer)
 
-    def _wanted(self, frame: Frame, engine: Engine) -> bool:
-        if frame.epoch != self._epoch:
+    def deliver(self, outcome: Outcome) -> None:
+        """Publish an outcome, if it is still wanted."""
+        with self._lock:
+            if not self._wanted(outcome):
+                return
+            if outcome.answer is None:
+                self.refuse(outcome.frame.cloud, outcome.refusal)
+            else:
+                self._publish(outcome, outcome.answer)
+
+    def supersede(self, outcome: Outcome) -> None:
+        """Count an outcome that a newer one overtook before it was delivered."""
+        with self._lock:
+            if self._wanted(outcome):
+                refused = outcome.answer is None
+                self._counters.add(dropped=int(not refused), refused=int(refused))
+
+    def _wanted(self, outcome: Outcome) -> bool:
+        if outcome.frame.epoch != self._epoch:
             return False
-        if engine is not self._engine:
+        if outcome.engine is not self._engine:
             self._counters.add(dropped=1)
             return False
         return True
 
-    def _publish(self, frame: Frame, answer: Answer, engine: Engine, config: EstimatorConfig) -> None:
+    def _publish(self, outcome: Outcome, answer: Answer) -> None:
         began = time.monotonic()
+        engine, estimate = outcome.engine, answer.estimate
         self._answer = answer
-        estimate = answer.estimate
         self._outputs.points.publish(
             engine.points.serialised(answer.positions, estimate.displacement, estimate.sigma, answer.stamp_ns)
         )
@@ -150,9 +188,13 @@ class Responder:
             self._outputs.markers.publish(engine.markers.serialised(answer.positions, answer.stamp_ns))
         marked = time.monotonic()
         self._counters.add(answered=1)
-        total = marked - frame.received_s
-        reasons = doubts(answer, total, config)
-        stages = answer.stages | {"publish points": published - began, "publish markers": marked - published}
+        total = marked - outcome.frame.received_s
+        reasons = doubts(answer, total, outcome.config)
+        stages = answer.stages | {
+            "hand over": began - outcome.made_s,
+            "publish points": published - began,
+            "publish markers": marked - published,
+        }
         report = Report(
             DEGRADED if reasons else OK,
             "; ".join(reasons),
