@@ -42,6 +42,12 @@ class EstimatorConfig:
     device: str = _setting(
         "auto", "Where the network runs; 'auto' takes a GPU if there is one.", choices=("auto", "cuda", "cpu")
     )
+    precision: str = _setting(
+        "auto",
+        "Floating-point format of the network's convolutions; 'auto' takes float16 where the device computes in it, "
+        "else float32. Used by 'hybrid' and 'paper'.",
+        choices=("auto", "float32", "bfloat16", "float16"),
+    )
     autostart: bool = _setting(True, "Configure and activate the node without being asked.")
     tracking: bool = _setting(
         False,

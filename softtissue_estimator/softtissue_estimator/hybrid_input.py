@@ -139,18 +139,25 @@ def assemble_hybrid_input(
     Tensor
         (1, 10, X, Y, Z) float32, on the device of the organ's channels.
     """
+    scales = spec.input_scales
     stacked = torch.zeros((*organ.grid.shape, len(HYBRID_CHANNELS)), device=organ.signed_distance.device)
-    stacked[..., 0] = organ.signed_distance
-    stacked[..., 1] = organ.zero_displacement
-    flat = stacked.view(-1, len(HYBRID_CHANNELS))
+    torch.mul(organ.signed_distance, scales[0], out=stacked[..., 0])
+    torch.mul(organ.zero_displacement, scales[1], out=stacked[..., 1])
     logarithm = (sigma.clamp_min(_SMALLEST_SIGMA_M) / _SIGMA_UNIT_M).log()
-    flat[cells, 2:6] = torch.cat([mean, logarithm.unsqueeze(1)], dim=1).float()
+    posterior = (*mean.unbind(1), logarithm)
+    flat = stacked.view(-1, len(HYBRID_CHANNELS))
+    flat[cells, 2:6] = torch.stack([_scaled(*pair) for pair in zip(posterior, scales[2:6], strict=True)], 1)
     visible = _SIGMA_UNIT_M / (_SIGMA_UNIT_M + seen.sigma)
-    values = torch.cat([visible.unsqueeze(1), seen.misfit], dim=1).float()
+    # Scaled before they are averaged: there are far fewer points than cells.
+    found = (visible, *seen.misfit.unbind(1))
+    values = torch.stack([_scaled(*pair) for pair in zip(found, scales[6:], strict=True)], 1)
     precision = seen.sigma.double().clamp_min(_SMALLEST_SIGMA_M).pow(-2)
     stacked[..., 6:] = rasterise(organ.grid, seen.reference, values, precision)[0]
-    scales = torch.tensor(spec.input_scales, dtype=stacked.dtype, device=stacked.device)
-    return to_batch(stacked * scales)
+    return to_batch(stacked)
+
+
+def _scaled(values: Tensor, scale: float) -> Tensor:
+    return values.float() * scale
 
 
 def sample_field(field: Tensor, position: Tensor) -> Tensor:
@@ -168,9 +175,10 @@ def sample_field(field: Tensor, position: Tensor) -> Tensor:
     Tensor
         (B, n, C).
     """
-    size = torch.tensor(field.shape[2:], dtype=field.dtype, device=field.device)
+    place = position.to(field.dtype)
     # From -1 at the first cell to 1 at the last, the fastest axis first.
-    normalised = (2.0 * position.to(field.dtype) / (size - 1.0).clamp_min(1.0) - 1.0).flip(-1)
+    last = [max(cells - 1.0, 1.0) for cells in field.shape[2:]]
+    normalised = torch.stack([2.0 * place[..., axis] / last[axis] - 1.0 for axis in (2, 1, 0)], dim=-1)
     sampled = functional.grid_sample(
         field, normalised[:, :, None, None], mode="bilinear", padding_mode="border", align_corners=True
     )

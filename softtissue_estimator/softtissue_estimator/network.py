@@ -53,9 +53,12 @@ class UNet(nn.Module):
         spec = self.architecture
         widths = spec.widths
         self.encoder = nn.ModuleList()
+        # A module for every level, so that each can be prepared for its own input (`network_runtime`).
+        self.pools = nn.ModuleList()
         incoming = spec.in_channels
         for width in widths[:-1]:
             self.encoder.append(_level(incoming, width, spec.encoder_convolutions))
+            self.pools.append(nn.AvgPool3d(2))
             incoming = width
         self.bottleneck = _level(incoming, widths[-1], spec.bottleneck_convolutions)
         self.decoder = nn.ModuleList()
@@ -90,10 +93,10 @@ class UNet(nn.Module):
         self._check(inputs)
         skips: list[Tensor] = []
         feature = inputs
-        for level in self.encoder:
+        for level, pool in zip(self.encoder, self.pools, strict=True):
             feature = level(feature)
             skips.append(feature)
-            feature = functional.avg_pool3d(feature, 2)
+            feature = pool(feature)
         feature = self.bottleneck(feature)
         features = [feature]
         for level, skip in zip(self.decoder, reversed(skips), strict=True):

@@ -193,11 +193,10 @@ def assemble_input(channels: OrganChannels, visible: Tensor, spec: NetworkSpec) 
     Tensor
         (1, 5, X, Y, Z) float32, on the device of the channels.
     """
-    stacked = torch.cat(
-        [channels.signed_distance.unsqueeze(-1), visible, channels.zero_displacement.unsqueeze(-1)], dim=-1
-    )
-    scales = torch.tensor(spec.input_scales, dtype=stacked.dtype, device=stacked.device)
-    return to_batch(stacked * scales)
+    parts = (channels.signed_distance, *visible.unbind(-1), channels.zero_displacement)
+    # Numbers instead of a tensor of them, which would be copied to the device in every frame.
+    scaled = [part * scale for part, scale in zip(parts, spec.input_scales, strict=True)]
+    return to_batch(torch.stack(scaled, dim=-1))
 
 
 def to_batch(grid_values: Tensor) -> Tensor:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +12,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from softtissue_estimator.captured_call import CapturedCall
 from softtissue_estimator.checkpoint import load_checkpoint
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.device import choose_device, device_stopwatch
+from softtissue_estimator.device import StageClock, choose_device, one_thread, to_device, to_host
 from softtissue_estimator.displacement_field import FieldSampler
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimator import Estimate, Estimator, Progress, silent
@@ -24,11 +28,30 @@ from softtissue_estimator.network_input import (
     organ_grid,
     visible_displacement,
 )
+from softtissue_estimator.network_precision import choose_precision
+from softtissue_estimator.network_runtime import NetworkRuntime
 from softtissue_estimator.observation import Observation
 from softtissue_estimator.organ import Organ
 from softtissue_estimator.resources import bundled_checkpoint
 
 FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    """What an organ needs computed once.
+
+    Attributes
+    ----------
+    answer
+        From the visible displacement (X, Y, Z, 3) to the field (X, Y, Z, 3) and to its values at the organ's query
+        points (q, 3), metres.
+    """
+
+    channels: OrganChannels
+    field: Callable[[Tensor], Tensor]
+    sampler: FieldSampler
+    answer: CapturedCall
 
 
 class PaperEstimate(Estimate):
@@ -66,44 +89,63 @@ class PaperEstimator(Estimator):
         checkpoint = load_checkpoint(Path(config.checkpoint) if config.checkpoint else bundled_checkpoint())
         self._device = choose_device(config.device)
         self.device = str(self._device)
+        self._dtype = choose_precision(config.precision, self._device)
         self._spec: NetworkSpec = checkpoint.spec
-        self._network = checkpoint.network.to(self._device)
-        self._channels: OrganChannels | None = None
-        self._sampler: FieldSampler | None = None
+        self._network = checkpoint.network
+        self._prepared: _Prepared | None = None
 
     def load_organ(self, organ: Organ, progress: Progress = silent) -> None:
         """Compute the organ's grid, signed distance and attached region, and where its structures lie in it."""
-        progress(
-            f"{organ.name}: signed distance and attached region on a {1e3 * self._spec.spacing:.2f} mm grid"
-        )
-        channels = cached_channels(organ, organ_grid(organ.surface, self._spec))
-        sampler = FieldSampler(channels.grid, channels.organ_mask, organ.query_points, self._device)
-        self._channels, self._sampler = channels.to(self._device), sampler
+        spec, device = self._spec, self._device
+        progress(f"{organ.name}: signed distance and attached region on a {1e3 * spec.spacing:.2f} mm grid")
+        channels = cached_channels(organ, organ_grid(organ.surface, spec))
+        sampler = FieldSampler(channels.grid, channels.organ_mask, organ.query_points, device)
+        channels = channels.to(device)
+        with self._threads():
+            shape = (1, len(spec.channels), *channels.grid.shape)
+            runtime = NetworkRuntime(self._network, shape, device, self._dtype, progress)
+            inside = channels.organ_mask.unsqueeze(-1)
+
+            def field(visible: Tensor) -> Tensor:
+                outputs = runtime(assemble_input(channels, visible, spec))
+                return from_batch(outputs) * spec.output_scale * inside
+
+            def answer(visible: Tensor) -> tuple[Tensor, ...]:
+                found = field(visible)
+                return found, sampler(found)
+
+            with torch.inference_mode():
+                nothing_seen = torch.zeros((*channels.grid.shape, 3), device=device)
+                call = CapturedCall(answer, nothing_seen, progress)
+        self._prepared = _Prepared(channels, field, sampler, call)
 
     def estimate(self, observation: Observation) -> Estimate:
         """Rasterise the visible displacement, run the network, read its field at the organ's query points."""
-        if self._channels is None or self._sampler is None:
+        prepared = self._prepared
+        if prepared is None:
             raise InvalidInputError("no organ is loaded: expected load_organ before the first observation")
-        watch = device_stopwatch(self._device)
-        with torch.inference_mode():
+        with torch.inference_mode(), self._threads():
+            clock = StageClock(self._device)
             visible = visible_displacement(
-                self._channels.grid,
-                torch.from_numpy(observation.reference).to(self._device),
-                torch.from_numpy(observation.displacement).to(self._device),
-                torch.from_numpy(observation.sigma).to(self._device),
+                prepared.channels.grid,
+                to_device(observation.reference, self._device),
+                to_device(observation.displacement, self._device),
+                to_device(observation.sigma, self._device),
             )
-            inputs = assemble_input(self._channels, visible, self._spec)
-            watch.lap("rasterise")
-            field = self._forward(inputs)
-            watch.lap("network")
-            displacement = self._sampler(field).double().cpu().numpy()
-            watch.lap("warp")
-        return PaperEstimate(self._channels, field, displacement, watch.stages)
+            clock.lap("rasterise")
+            if prepared.answer.captured:
+                field, displacement = prepared.answer(visible)
+                clock.lap("network")
+            else:
+                field = prepared.field(visible)
+                clock.lap("network")
+                displacement = prepared.sampler(field)
+            (displacement,) = to_host(displacement)
+            clock.lap("warp")
+        return PaperEstimate(prepared.channels, field, displacement.double().numpy(), clock.stages())
 
-    def _forward(self, inputs: Tensor) -> Tensor:
-        """Return the displacement field (X, Y, Z, 3) in metres, zero outside the organ."""
-        channels = self._channels
-        if channels is None:
-            raise InvalidInputError("no organ is loaded")
-        field = from_batch(self._network(inputs)).float() * self._spec.output_scale
-        return field * channels.organ_mask.unsqueeze(-1)
+    def _threads(self) -> AbstractContextManager[None]:
+        # In half precision one core answers in milliseconds; a second would save a few of them on an idle machine
+        # and, where other programs take turns on it, keep the first waiting for hundreds.
+        single = self._device.type == "cpu" and self._dtype != torch.float32
+        return one_thread() if single else nullcontext()

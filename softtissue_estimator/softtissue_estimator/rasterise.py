@@ -74,9 +74,7 @@ def rasterise_many(
         )
     position = torch.cat([_position(grid, cloud) for grid, cloud in zip(grids, points, strict=True)])
     data = torch.cat([_numerator_and_denominator(*cloud) for cloud in zip(values, given, strict=True)])
-    lengths = torch.tensor([len(cloud) for cloud in points], device=position.device)
-    number = torch.arange(len(grids), device=position.device)
-    owner = number.repeat_interleave(lengths, output_size=len(position))
+    owner = _owner([len(cloud) for cloud in points], position.device)
     accumulated = _splat(position, data, owner, shape, len(grids))
     smooth = _smooth(accumulated.reshape(len(grids), *shape, count + 1))
     denominator = smooth[..., count]
@@ -86,8 +84,17 @@ def rasterise_many(
 
 
 def _position(grid: VoxelGrid, points: Tensor) -> Tensor:
-    origin = torch.tensor(grid.origin, dtype=points.dtype, device=points.device)
-    return (points - origin) / grid.spacing
+    # Numbers instead of a tensor of them, which would be copied to the device in every frame.
+    axes = [(points[:, axis] - grid.origin[axis]) / grid.spacing for axis in range(3)]
+    return torch.stack(axes, dim=1)
+
+
+def _owner(lengths: Sequence[int], device: torch.device) -> Tensor | None:
+    """Return the number of each point's grid, (n,); None if there is only one."""
+    if len(lengths) == 1:
+        return None
+    number = torch.arange(len(lengths), device=device)
+    return number.repeat_interleave(torch.tensor(lengths, device=device), output_size=sum(lengths))
 
 
 def _numerator_and_denominator(values: Tensor, weights: Tensor | None) -> Tensor:
@@ -100,7 +107,9 @@ def _numerator_and_denominator(values: Tensor, weights: Tensor | None) -> Tensor
     return torch.cat([values * relative, relative], dim=1)
 
 
-def _splat(position: Tensor, data: Tensor, owner: Tensor, shape: tuple[int, int, int], grids: int) -> Tensor:
+def _splat(
+    position: Tensor, data: Tensor, owner: Tensor | None, shape: tuple[int, int, int], grids: int
+) -> Tensor:
     """Add data (n, k) to the eight cells around each point with trilinear weights.
 
     Parameters
@@ -108,7 +117,7 @@ def _splat(position: Tensor, data: Tensor, owner: Tensor, shape: tuple[int, int,
     position
         (n, 3) in cells of its own grid.
     owner
-        (n,) number of each point's grid.
+        (n,) number of each point's grid; None if there is only one.
 
     Returns
     -------
@@ -116,19 +125,30 @@ def _splat(position: Tensor, data: Tensor, owner: Tensor, shape: tuple[int, int,
         (grids * cells, k).
     """
     cells = math.prod(shape)
-    base = position.floor()
-    fraction = (position - base).to(data.dtype)
-    base = base.long()
-    limit = torch.tensor(shape, device=position.device)
+    pairs = [_axis_corners(position[:, axis], shape[axis], data.dtype) for axis in range(3)]
     total = data.new_zeros((grids * cells, data.shape[1]))
-    for corner in itertools.product((0, 1), repeat=3):
-        offset = torch.tensor(corner, device=position.device)
-        cell = base + offset
-        inside = ((cell >= 0) & (cell < limit)).all(dim=1)
-        share = torch.where(offset.bool(), fraction, 1.0 - fraction).prod(dim=1) * inside
-        flat = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2] + owner * cells
-        total.index_add_(0, torch.where(inside, flat, 0), data * share.unsqueeze(1))
+    for (x, share_x), (y, share_y), (z, share_z) in itertools.product(*pairs):
+        flat = (x * shape[1] + y) * shape[2] + z
+        if owner is not None:
+            flat += owner * cells
+        total.index_add_(0, flat, data * (share_x * share_y * share_z).unsqueeze(1))
     return total
+
+
+def _axis_corners(position: Tensor, size: int, dtype: torch.dtype) -> list[tuple[Tensor, Tensor]]:
+    """Return the two cells (n,) around positions (n,) along one axis and the share (n,) of each.
+
+    A cell beyond the grid is replaced by the nearest one in it, with a share of zero.
+    """
+    base = position.floor()
+    fraction = (position - base).to(dtype)
+    # Floats far outside the grid have no integer.
+    cell = base.clamp_(-2.0, size + 1.0).long()
+    corners = []
+    for number, share in ((cell, 1.0 - fraction), (cell + 1, fraction)):
+        inside = (number >= 0) & (number < size)
+        corners.append((number.clamp(0, size - 1), share * inside))
+    return corners
 
 
 def _smooth(data: Tensor) -> Tensor:

@@ -1,11 +1,15 @@
 """The hybrid estimator behind the interface of every estimator, beside the elastic one on which it builds."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import torch
 
+from estimator.recorded_on_cpu import recorded_on_cpu
 from estimator.shapes import ellipsoid, organ_of
 from softtissue_estimator import hybrid_estimator
+from softtissue_estimator.captured_call import CapturedCall
 from softtissue_estimator.checkpoint import checkpoint_kind, load_checkpoint, read_provenance
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.elastic_estimator import ElasticEstimator
@@ -165,6 +169,31 @@ def test_channels_of_another_version_are_refused(tmp_path, network):
     save_hybrid_checkpoint(path, network, HybridSpec(input_scales=(1.0,), architecture=SPEC.architecture), {})
     with pytest.raises(CheckpointError, match="names 10 channels and 1 scales"):
         load_hybrid_checkpoint(path)
+
+
+def test_a_captured_graph_gives_the_same_answers_and_each_stays_valid(
+    tmp_path, network, observation, monkeypatch
+):
+    path = tmp_path / "moved.safetensors"
+    moved = with_output(network, [0.3, -0.2, 0.1, 0.2])
+    with torch.no_grad():
+        moved.heads[0].weight.normal_(0.0, 0.1, generator=torch.Generator().manual_seed(1))
+    other = Observation(observation.reference, -observation.displacement, observation.sigma)
+    plain = estimator_of(path, moved)
+    monkeypatch.setattr(hybrid_estimator, "CapturedCall", partial(CapturedCall, record=recorded_on_cpu))
+    captured = estimator_of(path, moved)
+    frames = [observation, other, observation]
+    answers = [captured.estimate(frame) for frame in frames]
+    points = SURFACE.vertices[::20]
+    for frame, answer in zip(frames, answers, strict=True):
+        expected = plain.estimate(frame)
+        for found, wanted in (
+            (answer.displacement, expected.displacement),
+            (answer.sigma, expected.sigma),
+            (answer.displacement_at(points)[0], expected.displacement_at(points)[0]),
+        ):
+            np.testing.assert_allclose(found, wanted, atol=1e-12)
+    assert np.abs(answers[0].sigma / answers[1].sigma - 1.0).max() > 1e-3
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")

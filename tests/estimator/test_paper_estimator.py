@@ -1,5 +1,6 @@
 """The U-Net behind the estimator interface: the same numbers as its parts, on any device, from any folder."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,9 @@ import pytest
 import torch
 import trimesh
 
+from estimator.recorded_on_cpu import recorded_on_cpu
+from softtissue_estimator import paper_estimator
+from softtissue_estimator.captured_call import CapturedCall
 from softtissue_estimator.checkpoint import save_checkpoint
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import CheckpointError, InvalidInputError
@@ -63,9 +67,9 @@ def observation(organ: Organ) -> Observation:
     return Observation(seen, rng.normal(scale=0.01, size=seen.shape), np.full(len(seen), 0.001))
 
 
-def _loaded(checkpoint: Path, organ: Organ, device: str = "cpu") -> PaperEstimator:
+def _loaded(checkpoint: Path, organ: Organ, device: str = "cpu", precision: str = "auto") -> PaperEstimator:
     estimator = create_estimator(
-        EstimatorConfig(estimator="paper", checkpoint=str(checkpoint), device=device)
+        EstimatorConfig(estimator="paper", checkpoint=str(checkpoint), device=device, precision=precision)
     )
     assert isinstance(estimator, PaperEstimator)
     estimator.load_organ(organ)
@@ -75,7 +79,7 @@ def _loaded(checkpoint: Path, organ: Organ, device: str = "cpu") -> PaperEstimat
 def test_answer_is_the_networks_field_at_the_query_points(
     checkpoint: Path, organ: Organ, observation: Observation
 ) -> None:
-    estimate = _loaded(checkpoint, organ).estimate(observation)
+    estimate = _loaded(checkpoint, organ, precision="float32").estimate(observation)
     assert estimate.displacement.shape == organ.query_points.shape and estimate.sigma is None
     assert set(estimate.stages) == {"rasterise", "network", "warp"}
 
@@ -104,6 +108,51 @@ def test_query_points_and_single_points_agree(
 ) -> None:
     estimate = _loaded(checkpoint, organ).estimate(observation)
     np.testing.assert_array_equal(estimate.displacement_at(organ.query_points)[0], estimate.displacement)
+
+
+def _other(observation: Observation) -> Observation:
+    return Observation(observation.reference, -observation.displacement[::-1], observation.sigma)
+
+
+def test_an_answer_stays_valid_after_the_next(
+    checkpoint: Path, organ: Organ, observation: Observation
+) -> None:
+    estimator = _loaded(checkpoint, organ)
+    first = estimator.estimate(observation)
+    points = organ.query_points[:50]
+    before = (first.displacement.copy(), first.displacement_at(points)[0].copy())
+    second = estimator.estimate(_other(observation))
+    assert np.abs(second.displacement - first.displacement).max() > 1e-5
+    np.testing.assert_array_equal(first.displacement, before[0])
+    np.testing.assert_array_equal(first.displacement_at(points)[0], before[1])
+
+
+def test_a_captured_graph_gives_the_same_answers_in_every_frame(
+    checkpoint: Path, organ: Organ, observation: Observation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = _loaded(checkpoint, organ)
+    monkeypatch.setattr(paper_estimator, "CapturedCall", partial(CapturedCall, record=recorded_on_cpu))
+    captured = _loaded(checkpoint, organ)
+    frames = [observation, _other(observation), observation]
+    answers = [captured.estimate(frame) for frame in frames]
+    assert set(answers[0].stages) == {"rasterise", "network", "warp"}
+    for frame, answer in zip(frames, answers, strict=True):
+        expected = plain.estimate(frame)
+        np.testing.assert_array_equal(answer.displacement, expected.displacement)
+        points = organ.query_points[:50]
+        np.testing.assert_array_equal(answer.displacement_at(points)[0], expected.displacement_at(points)[0])
+
+
+def test_precision_of_a_device_that_lacks_it(
+    checkpoint: Path, organ: Organ, observation: Observation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = _loaded(checkpoint, organ, precision="float32").estimate(observation)
+    monkeypatch.setattr("softtissue_estimator.network_precision._cpu_has", lambda _: False)
+    np.testing.assert_array_equal(
+        _loaded(checkpoint, organ).estimate(observation).displacement, expected.displacement
+    )
+    with pytest.raises(InvalidInputError, match="parameter precision: .* got 'float16' on cpu without"):
+        _loaded(checkpoint, organ, precision="float16")
 
 
 def test_second_load_from_the_cache_gives_the_same_answer(

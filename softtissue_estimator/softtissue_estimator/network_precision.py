@@ -1,0 +1,66 @@
+"""In which floating-point format a network computes."""
+
+from __future__ import annotations
+
+import torch
+
+from softtissue_estimator.errors import InvalidInputError
+
+PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
+
+
+def choose_precision(name: str, device: torch.device) -> torch.dtype:
+    """Return the format for the parameter `precision`.
+
+    'auto' is float16 where the device computes in it and float32 elsewhere. It is never bfloat16, whose 8 bits move
+    the bundled weights' answers by more than 0.05 mm (docs/inference.md). The networks' activations are bounded or
+    normalised, so that float16's range is wide enough for them.
+
+    Raises
+    ------
+    InvalidInputError
+        The name is unknown, or the device has no instructions for the format.
+    """
+    if name == "auto":
+        return torch.float16 if _computes_in("float16", device) else torch.float32
+    if name not in PRECISIONS:
+        raise InvalidInputError(
+            f"parameter precision: expected one of auto, {', '.join(PRECISIONS)}, got {name!r}"
+        )
+    if not _computes_in(name, device):
+        raise InvalidInputError(
+            f"parameter precision: expected a format that the device computes in, got {name!r} on {device} without "
+            "instructions for it"
+        )
+    return PRECISIONS[name]
+
+
+def precision_name(dtype: torch.dtype) -> str:
+    """Return the name of a format, as the parameter has it.
+
+    Examples
+    --------
+    >>> precision_name(torch.float16)
+    'float16'
+    """
+    return str(dtype).removeprefix("torch.")
+
+
+def _computes_in(name: str, device: torch.device) -> bool:
+    if name == "float32":
+        return True
+    if device.type == "cuda":
+        return name == "float16" or bool(torch.cuda.is_bf16_supported(including_emulation=False))
+    if device.type != "cpu" or not torch.backends.mkldnn.is_available():
+        return False
+    if name == "bfloat16":
+        return _cpu_has("avx512_bf16") or _cpu_has("amx_tile")
+    return _cpu_has("avx512_fp16") or _cpu_has("amx_fp16")
+
+
+def _cpu_has(instructions: str) -> bool:
+    """Ask torch, which has no public way before `get_capabilities`; a version that cannot say so means no."""
+    capabilities = getattr(torch.cpu, "get_capabilities", None)
+    if capabilities is not None:
+        return bool(capabilities().get(instructions, False))
+    return bool(getattr(torch.cpu, f"_is_{instructions}_supported", lambda: False)())
