@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
+from torch.nn import functional
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.grid import VoxelGrid
@@ -51,8 +52,10 @@ class FieldSampler:
     def __call__(self, field: Tensor) -> Tensor:
         """Interpolate a field (X, Y, Z, c) at the points; returns (n, c)."""
         flat = field.reshape(-1, field.shape[-1])
-        corners = flat[self._cells.reshape(-1)].reshape(*self._cells.shape, -1)
-        return (corners * self._weights.unsqueeze(-1)).sum(dim=1)
+        # A weighted sum of rows without their copies: several times faster than gathering the eight corners first.
+        return functional.embedding_bag(
+            self._cells, flat, per_sample_weights=self._weights.to(flat.dtype), mode="sum"
+        )
 
 
 def _masked_corners(

@@ -125,18 +125,23 @@ def _splat(
         (grids * cells, k).
     """
     cells = math.prod(shape)
-    pairs = [_axis_corners(position[:, axis], shape[axis], data.dtype) for axis in range(3)]
+    strides = (shape[1] * shape[2], shape[2], 1)
+    x_corners, y_corners, z_corners = (
+        _axis_corners(position[:, axis], shape[axis], strides[axis], data.dtype) for axis in range(3)
+    )
+    first = 0 if owner is None else owner * cells
     total = data.new_zeros((grids * cells, data.shape[1]))
-    for (x, share_x), (y, share_y), (z, share_z) in itertools.product(*pairs):
-        flat = (x * shape[1] + y) * shape[2] + z
-        if owner is not None:
-            flat += owner * cells
-        total.index_add_(0, flat, data * (share_x * share_y * share_z).unsqueeze(1))
+    for (x, share_x), (y, share_y) in itertools.product(x_corners, y_corners):
+        row, share = first + x + y, share_x * share_y
+        for z, share_z in z_corners:
+            total.index_add_(0, row + z, data * (share * share_z).unsqueeze(1))
     return total
 
 
-def _axis_corners(position: Tensor, size: int, dtype: torch.dtype) -> list[tuple[Tensor, Tensor]]:
-    """Return the two cells (n,) around positions (n,) along one axis and the share (n,) of each.
+def _axis_corners(
+    position: Tensor, size: int, stride: int, dtype: torch.dtype
+) -> list[tuple[Tensor, Tensor]]:
+    """Return the two cells around positions (n,) along one axis, (n,) times `stride`, and the share (n,) of each.
 
     A cell beyond the grid is replaced by the nearest one in it, with a share of zero.
     """
@@ -146,8 +151,8 @@ def _axis_corners(position: Tensor, size: int, dtype: torch.dtype) -> list[tuple
     cell = base.clamp_(-2.0, size + 1.0).long()
     corners = []
     for number, share in ((cell, 1.0 - fraction), (cell + 1, fraction)):
-        inside = (number >= 0) & (number < size)
-        corners.append((number.clamp(0, size - 1), share * inside))
+        nearest = number.clamp(0, size - 1)
+        corners.append((nearest * stride, share * (nearest == number)))
     return corners
 
 
