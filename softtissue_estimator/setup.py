@@ -70,6 +70,7 @@ setup(
             f"replay = {NAME}.ros.replay:main",
             f"score = {NAME}.ros.score:main",
             f"demo = {NAME}.ros.demo:main",
+            f"latency = {NAME}.ros.latency.main:main",
             f"check_organ = {NAME}.check_organ:main",
         ],
     },

@@ -1,0 +1,74 @@
+"""Questions from one process to another and back: a line of JSON each, on standard input and output."""
+
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from softtissue_estimator.errors import SoftTissueError
+
+Handler = Callable[..., dict[str, Any]]
+
+
+def serve_in_thread(handlers: Mapping[str, Handler], on_end: Callable[[], None]) -> None:
+    """Answer questions in a thread of its own; calls `on_end` when standard input has ended."""
+
+    def run() -> None:
+        serve(handlers)
+        on_end()
+
+    threading.Thread(target=run, name="serve", daemon=True).start()
+
+
+def serve(handlers: Mapping[str, Handler]) -> None:
+    """Answer questions until standard input ends; a SoftTissueError becomes an answer."""
+    for line in sys.stdin:
+        question = json.loads(line)
+        try:
+            answer = handlers[question.pop("do")](**question)
+        except SoftTissueError as error:
+            answer = {"error": str(error)}
+        print(json.dumps(answer), flush=True)
+
+
+class Remote:
+    """A process that serves questions.
+
+    Parameters
+    ----------
+    child : subprocess.Popen
+        Started with pipes as standard input and output.
+    name : str
+        For messages.
+    """
+
+    def __init__(self, child: "subprocess.Popen[str]", name: str) -> None:
+        self.child, self._name = child, name
+
+    def ask(self, do: str, **arguments: Any) -> dict[str, Any]:
+        """Put a question and wait for the answer.
+
+        Raises
+        ------
+        SoftTissueError
+            If the process says that it cannot, or is gone.
+        """
+        if self.child.stdin is None or self.child.stdout is None:
+            raise SoftTissueError(f"{self._name}: expected a process with pipes, got one without")
+        try:
+            self.child.stdin.write(json.dumps({"do": do, **arguments}) + "\n")
+            self.child.stdin.flush()
+            line = self.child.stdout.readline()
+        except BrokenPipeError:
+            line = ""
+        if not line:
+            raise SoftTissueError(
+                f"{self._name}: expected an answer to {do!r}, got the end of the process,"
+                f" exit code {self.child.wait()}"
+            )
+        answer: dict[str, Any] = json.loads(line)
+        if "error" in answer:
+            raise SoftTissueError(str(answer["error"]))
+        return answer
