@@ -26,6 +26,14 @@ def test_patches_act_on_the_surface_and_cover_it():
     assert (width < 2.0 * PATCH_SPACING_M).all()
 
 
+def test_far_from_a_patch_nothing_pushes_rather_than_next_to_nothing():
+    large = box_tets((0.30, 0.20, 0.15), (24, 16, 12))
+    loads = load_basis(large)[:, :-1]
+    pushing = loads[loads != 0.0]
+    assert len(pushing) < 0.9 * (nodal_areas(large) > 0.0).sum() * loads.shape[1]
+    assert pushing.min() > 1e-20 > np.finfo(np.float32).tiny
+
+
 def test_large_organs_get_larger_patches_not_more():
     large = box_tets((0.30, 0.20, 0.15), (24, 16, 12))
     assert load_basis(large).shape[1] == MOST_PATCHES + 1
