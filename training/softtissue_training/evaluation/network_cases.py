@@ -1,0 +1,103 @@
+"""The bundled networks with an input of an organ that bends, for timing them and for comparing their answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from softtissue_estimator.bending_organ import NOISE_M, BendingOrgan
+from softtissue_estimator.checkpoint import load_checkpoint
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.elastic_estimator import ElasticEstimator
+from softtissue_estimator.hybrid_checkpoint import load_hybrid_checkpoint
+from softtissue_estimator.hybrid_input import assemble_hybrid_input, hybrid_grid, posterior_cells, remainder
+from softtissue_estimator.hybrid_posterior import make_reader, seen_misfit
+from softtissue_estimator.network_input import (
+    assemble_input,
+    cached_channels,
+    organ_grid,
+    visible_displacement,
+)
+from softtissue_estimator.observation import Observation, make_observation
+from softtissue_estimator.organ import Organ
+from softtissue_estimator.resources import bundled_checkpoint
+
+_POINTS = 1200
+_TIME_S = 1.2  # of the organ's swing: near its largest displacement
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkCase:
+    """A network, an input of it, and what a difference of its outputs means.
+
+    Attributes
+    ----------
+    name
+        As in the parameter `estimator`.
+    network
+        float32, on the CPU.
+    inputs
+        (1, C, X, Y, Z) float32, on the CPU.
+    difference_mm
+        Largest distance inside the organ between the answers that two outputs (1, C', X, Y, Z) stand for, mm.
+    """
+
+    name: str
+    network: nn.Module
+    inputs: Tensor
+    difference_mm: Callable[[Tensor, Tensor], float]
+
+
+def paper_case(organ: Organ, config: EstimatorConfig) -> NetworkCase:
+    """Return the paper's network with the bundled weights and an input of this organ."""
+    checkpoint = load_checkpoint(bundled_checkpoint())
+    spec = checkpoint.spec
+    channels = cached_channels(organ, organ_grid(organ.surface, spec))
+    seen = _observation(organ, config)
+    parts = (torch.from_numpy(part) for part in (seen.reference, seen.displacement, seen.sigma))
+    inputs = assemble_input(channels, visible_displacement(channels.grid, *parts), spec)
+    inside = channels.organ_mask
+
+    def difference_mm(first: Tensor, second: Tensor) -> float:
+        apart = (first - second)[0][:, inside] * spec.output_scale
+        return 1e3 * float(apart.norm(dim=0).max())
+
+    return NetworkCase("paper", checkpoint.network, inputs, difference_mm)
+
+
+def hybrid_case(organ: Organ, config: EstimatorConfig) -> NetworkCase:
+    """Return the hybrid network with the bundled weights and an input of this organ.
+
+    Its answers are a displacement and a standard deviation; the larger difference of the two counts.
+    """
+    checkpoint = load_hybrid_checkpoint(bundled_checkpoint("hybrid"))
+    spec = checkpoint.spec
+    channels = cached_channels(organ, hybrid_grid(organ.surface, spec))
+    cells = posterior_cells(channels.signed_distance, channels.grid.spacing)
+    elastic = ElasticEstimator(config)
+    elastic.load_organ(organ)
+    try:
+        reader = make_reader(elastic, channels.grid.points()[cells.numpy()])
+        estimate = elastic.estimate(_observation(organ, config))
+    finally:
+        elastic.close()
+    mean, sigma = (torch.from_numpy(part) for part in reader.on_grid(estimate))
+    inputs = assemble_hybrid_input(channels, cells, mean, sigma, seen_misfit(estimate), spec)
+
+    def difference_mm(first: Tensor, second: Tensor) -> float:
+        answers = [remainder(out[0].flatten(1)[:, cells].T.double(), sigma, spec) for out in (first, second)]
+        moved = (answers[0][0] - answers[1][0]).norm(dim=1)
+        spread = (answers[0][1] - answers[1][1]).abs()
+        return 1e3 * float(torch.maximum(moved, spread).max())
+
+    return NetworkCase("hybrid", checkpoint.network, inputs, difference_mm)
+
+
+def _observation(organ: Organ, config: EstimatorConfig) -> Observation:
+    scene = BendingOrgan(organ, _POINTS, np.random.default_rng(0))
+    sigma = np.full(_POINTS, NOISE_M)
+    return make_observation(scene.points(_TIME_S), scene.reference, sigma, organ, config)[0]
