@@ -3,12 +3,15 @@
 import argparse
 import json
 import statistics
+import sys
 import tempfile
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 from softtissue_estimator.ros.runtime import Spinner, StopRequest, limit_threads, run_tool
+
+INTERRUPTED = 130
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
@@ -34,7 +37,10 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         "--services", action="store_true", help="one more run of the middle one, services called all the time"
     )
     parser.add_argument(
-        "--messages", action="store_true", help="also time the message paths alone, beside naive versions"
+        "--messages",
+        type=int,
+        metavar="N",
+        help="also time the message paths alone, beside naive versions; the cloud with N points",
     )
     parser.add_argument(
         "--amplitude", type=float, default=10.0, metavar="MM", help="of the motion (default 10)"
@@ -73,13 +79,16 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
     """Measure and print; return the exit code."""
     import rclpy
 
-    from softtissue_estimator.ros.latency.session import NAMESPACE
+    from softtissue_estimator.ros.latency.session import NAMESPACE, Interrupted
 
     node = rclpy.create_node("latency", namespace=NAMESPACE)
     spinner = Spinner(node, lambda error: stop.stop(1))
     try:
         with tempfile.TemporaryDirectory(prefix="softtissue_latency_") as folder:
             report = measure(node, options, stop, Path(folder))
+    except Interrupted:
+        print("interrupted", file=sys.stderr)
+        return stop.exit_code or INTERRUPTED
     finally:
         spinner.stop(2.0)
         node.destroy_node()
@@ -96,20 +105,18 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
 
 def measure(node: Any, options: argparse.Namespace, stop: StopRequest, folder: Path) -> dict[str, Any]:
     """Start everything, measure every run, print a line each; return all figures."""
-    from softtissue_estimator.organ import load_organ
     from softtissue_estimator.resources import bundled_organ
     from softtissue_estimator.ros.latency.session import Scene, open_session
 
     path = (options.organ or bundled_organ()).absolute()
-    organ = load_organ(path)
     scene = Scene(1e-3 * options.amplitude, options.period, options.seed)
     parameters = {"estimator": options.estimator, "device": options.device}
     parameters |= dict(given.split(":=", 1) for given in options.parameter)
-    report: dict[str, Any] = {"organ": organ.name, "estimator": options.estimator, "messages": []}
+    report: dict[str, Any] = {"organ": str(path), "estimator": options.estimator, "messages": []}
     rows = report["end_to_end"] = []
-    with open_session(node, path, organ, scene, folder) as session:
-        if options.messages:
-            report["messages"] = session.message_paths(max(options.points))
+    with open_session(node, path, scene, folder, stop.event) as session:
+        if options.messages is not None:
+            report["messages"] = session.message_paths(options.messages)
             for row in report["messages"]:
                 print(message_line(row), flush=True)
         print(f"==> estimator {options.estimator}: starting the node", flush=True)
@@ -117,8 +124,6 @@ def measure(node: Any, options: argparse.Namespace, stop: StopRequest, folder: P
             report |= start
             print(f"from start to first answer: {start['start_to_answer_s']:.1f} s", flush=True)
             for what in combinations(options):
-                if stop.event.is_set():
-                    break
                 row = session.measure(child, what)
                 rows.append({"estimator": options.estimator, "device": start["device"], **row})
                 print(line(rows[-1]), flush=True)

@@ -7,7 +7,8 @@ from typing import Any
 from softtissue_estimator.ros.latency.control import Handler, serve_in_thread
 from softtissue_estimator.ros.runtime import Spinner, StopRequest, limit_threads, run_tool
 
-QUEUE = 10
+# Enough for a pause of this process: what it loses would be charged to the node.
+QUEUE = 100
 STATUS_QUEUE = 1000
 
 
@@ -113,8 +114,11 @@ def _status(message: Any) -> dict[str, Any]:
         "answered": message.level != message.INVALID,
         "reason": message.reason,
         "device": message.device,
-        "dropped": int(message.frames_dropped),
-        "refused": int(message.frames_refused),
+        "counts": {
+            "answered": int(message.frames_answered),
+            "dropped": int(message.frames_dropped),
+            "refused": int(message.frames_refused),
+        },
         "stages": dict(zip(message.stage_names, map(float, message.stage_seconds), strict=True)),
     }
 

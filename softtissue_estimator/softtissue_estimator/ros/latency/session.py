@@ -13,7 +13,7 @@ from typing import Any
 
 from softtissue_estimator.cache import cache_folder
 from softtissue_estimator.errors import SoftTissueError
-from softtissue_estimator.organ import Organ
+from softtissue_estimator.organ import Organ, load_organ
 from softtissue_estimator.ros.latency.control import Remote
 from softtissue_estimator.ros.latency.probe import Probe
 from softtissue_estimator.ros.latency.statistics import Run, summarise
@@ -49,16 +49,30 @@ class Combination:
     services: bool = False
 
 
+class Interrupted(Exception):
+    """Somebody asked the program to end."""
+
+
 class Session:
-    """Sender and receiver, and a node of its own that talks to the node under test; made by `open_session`."""
+    """Sender and receiver, and a node of its own that talks to the node under test; made by `open_session`.
+
+    Its methods raise `Interrupted` soon after `stop` is set.
+    """
 
     def __init__(
-        self, ros_node: Any, sender: Remote, receiver: Remote, organ: Organ, scene: Scene, folder: Path
+        self,
+        ros_node: Any,
+        sender: Remote,
+        receiver: Remote,
+        organ: Organ,
+        scene: Scene,
+        folder: Path,
+        stop: threading.Event,
     ) -> None:
         from softtissue_msgs.srv import Reset
 
         self._ros_node, self._sender, self._receiver = ros_node, sender, receiver
-        self._organ, self._scene, self._folder = organ, scene, folder
+        self._organ, self._scene, self._folder, self._stop = organ, scene, folder, stop
         self._reset = ros_node.create_client(Reset, f"{NAME}/reset")
 
     @contextmanager
@@ -98,9 +112,10 @@ class Session:
         warm_up = math.ceil(what.warm_up_s * what.rate_hz)
         count = max(2, round(what.seconds * what.rate_hz))
         self._sender.ask("begin", count=warm_up + count)
-        time.sleep(warm_up / what.rate_hz)
+        self._pause(warm_up / what.rate_hz)
         probe = Probe(self._ros_node, NAME, self._organ.query_points) if what.services else None
         before = usage_of(child.pid)
+        self._pause((count - 1) / what.rate_hz)
         sent = self._sender.ask("end")
         after = usage_of(child.pid)
         asked = {} if probe is None else {"service_ms": probe.stop()}
@@ -135,7 +150,7 @@ class Session:
         publisher = self._ros_node.create_publisher(MarkerArray, f"{NAME}/markers", QoSProfile(depth=10))
         self._receiver.ask("begin", markers=True)
         while not publisher.get_subscription_count():
-            time.sleep(0.02)
+            self._pause(0.02)
         rows = [
             message_paths.time_cloud(self._organ, points),
             message_paths.time_answer(self._organ),
@@ -176,7 +191,7 @@ class Session:
         while time.monotonic() < end and child.poll() is None:
             if self._receiver.ask("newest")["stamp"] >= last:
                 break
-            time.sleep(0.05)
+            self._pause(0.05)
         # The status follows its answer, the markers come between them.
         time.sleep(0.2)
         return self._receiver.ask("end")
@@ -189,20 +204,27 @@ class Session:
                     raise SoftTissueError(f"{name}: expected {what}, got exit code {running.returncode}")
             if time.monotonic() > end:
                 raise SoftTissueError(f"node: expected {what} within {START_TIMEOUT_S:g} s, got nothing")
-            time.sleep(0.02)
+            self._pause(0.02)
+
+    def _pause(self, seconds: float) -> None:
+        if self._stop.wait(seconds):
+            raise Interrupted
 
 
 @contextmanager
-def open_session(ros_node: Any, folder: Path, organ: Organ, scene: Scene, log: Path) -> Iterator[Session]:
-    """Start sender and receiver for an organ (and the folder it comes from); log of the node goes to a folder."""
+def open_session(
+    ros_node: Any, path: Path, scene: Scene, log: Path, stop: threading.Event
+) -> Iterator[Session]:
+    """Start sender and receiver for the organ in a folder; the node's log goes to another, `log`."""
+    organ = load_organ(path)
     with ExitStack() as stack:
         remotes = []
-        for module, argument in (("sender", str(folder)), ("receiver", NAME)):
+        for module, argument in (("sender", str(path)), ("receiver", NAME)):
             command = [sys.executable, "-m", f"{__package__}.{module}", argument]
             command += ["--ros-args", "-r", f"__ns:={NAMESPACE}"]
             pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
             remotes.append(Remote(stack.enter_context(process(command, **pipes)), module))
-        yield Session(ros_node, remotes[0], remotes[1], organ, scene, log)
+        yield Session(ros_node, remotes[0], remotes[1], organ, scene, log, stop)
 
 
 def _cached() -> frozenset[str]:

@@ -24,8 +24,8 @@ class Run:
     answers, markers : sequence of pairs of int
         Stamp of the cloud that is answered, and when the answer was received, in order of reception.
     statuses : sequence of dict
-        Of each status message: `stamp`, `answered`, `stages` (s), and the counts `dropped` and `refused` since the
-        run began.
+        Of each status message: `stamp`, `answered` (whether that cloud was), `stages` (s), and `counts`, the clouds
+        `answered`, `dropped` and `refused` since the run began.
     """
 
     warm_up: int
@@ -72,16 +72,16 @@ def quantiles(values: FloatArray, prefix: str = "") -> dict[str, float | None]:
 def summarise(run: Run) -> dict[str, Any]:
     """Return all figures of a run.
 
-    `dropped` are the measured clouds that were neither answered nor refused. `unaccounted` compares, for the whole run
-    with its warm-up, what was sent and received with what the node itself counted: it should be zero.
+    `dropped` are the measured clouds that were neither answered nor refused, as the receiver sees it. Two figures
+    compare that with what the node counted, over the whole run with its warm-up, and should be zero: `unaccounted` are
+    clouds of which the node knows nothing, `lost_answers` those that it published and nobody received.
     """
     measured = run.measured
     latency = latencies_ms(run.answers, measured)
     ages = ages_ms(run.answers, measured)
     answered = len({stamp for stamp, _ in run.answers if stamp in measured})
     refused = len({s["stamp"] for s in run.statuses if not s["answered"]} & measured)
-    last: Mapping[str, Any] = run.statuses[-1] if run.statuses else {"dropped": 0, "refused": 0}
-    everything = len({stamp for stamp, _ in run.answers}) + last["dropped"] + last["refused"]
+    counts: Mapping[str, int] = run.statuses[-1]["counts"] if run.statuses else {"answered": 0}
     span_s = 1e-9 * (run.sent[-1] - run.sent[run.warm_up]) if len(measured) > 1 else 0.0
     quarter = max(1, len(latency) // 4)
     stages = _stages(run)
@@ -92,7 +92,8 @@ def summarise(run: Run) -> dict[str, Any]:
         "answered": answered,
         "dropped": len(measured) - answered - refused,
         "refused": refused,
-        "unaccounted": len(run.sent) - everything,
+        "unaccounted": len(run.sent) - sum(counts.values()),
+        "lost_answers": counts["answered"] - len({stamp for stamp, _ in run.answers}),
         **quantiles(latency),
         "sent_hz": _rate(len(measured), span_s),
         "throughput_hz": _rate(answered, span_s),

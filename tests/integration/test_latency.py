@@ -1,0 +1,192 @@
+"""The tool `latency`: its arithmetic, and a small run through real processes."""
+
+import json
+import os
+import signal
+import subprocess
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
+pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
+
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import PointCloud2
+
+from integration.harness import executable, new_domain, write_organ
+from softtissue_estimator.organ import load_organ
+from softtissue_estimator.ros.conversions import read_cloud
+from softtissue_estimator.ros.latency.clouds import moving_clouds
+from softtissue_estimator.ros.latency.message_paths import ring_alone, time_answer, time_cloud
+from softtissue_estimator.ros.latency.statistics import Run, ages_ms, latencies_ms, quantiles, summarise
+from softtissue_estimator.ros.latency.usage import cpu_share, usage_of
+
+MS = 1_000_000
+
+
+def environment():
+    return os.environ | {"ROS_DOMAIN_ID": str(new_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
+def status(stamp, answered, counts, **stages):
+    return {
+        "stamp": stamp,
+        "answered": answered,
+        "stages": stages,
+        "counts": dict(zip(("answered", "dropped", "refused"), counts, strict=True)),
+    }
+
+
+def test_age_grows_from_one_answer_to_the_next_newer_one():
+    # Published at 0, 10, 20, 30 ms; the answer to 10 comes late, after that to 20, and makes nothing newer.
+    pairs = [(0, 5 * MS), (20 * MS, 28 * MS), (10 * MS, 31 * MS), (30 * MS, 44 * MS)]
+    measured = frozenset(stamp for stamp, _ in pairs)
+    # Just before 28: that of 0 is 28 old. Just before 44: that of 20 is 24 old.
+    assert ages_ms(pairs, measured).tolist() == [28.0, 24.0]
+    assert latencies_ms(pairs, measured).tolist() == [5.0, 8.0, 21.0, 14.0]
+    assert ages_ms(pairs, frozenset([30 * MS])).tolist() == []
+
+
+def test_age_of_a_steady_stream_is_latency_and_interval():
+    stamps = 1_700_000_000_000_000_000 + 20 * MS * np.arange(50)
+    pairs = [(int(stamp), int(stamp) + 7 * MS) for stamp in stamps]
+    ages = ages_ms(pairs, frozenset(stamp for stamp, _ in pairs))
+    assert len(ages) == 49
+    np.testing.assert_allclose(ages, 27.0, atol=1e-6)
+
+
+def test_quantiles_are_those_of_numpy():
+    values = np.random.default_rng(0).exponential(5.0, size=1001)
+    found = quantiles(values, "x_")
+    for name, share in (("p50", 50), ("p95", 95), ("p99", 99), ("max", 100)):
+        assert found[f"x_{name}_ms"] == pytest.approx(np.percentile(values, share), abs=1e-3)
+    assert quantiles(np.array([])) == {"p50_ms": None, "p95_ms": None, "p99_ms": None, "max_ms": None}
+
+
+def test_every_cloud_is_counted_once_and_the_warm_up_not_at_all():
+    sent = [10 * MS * i for i in range(1, 13)]
+    answered = [s for i, s in enumerate(sent) if i not in (1, 5, 6, 9)]
+    pairs = [(stamp, stamp + 4 * MS) for stamp in answered]
+    statuses = [status(stamp, True, (0, 0, 0), estimate=0.002) for stamp in answered]
+    statuses += [status(sent[9], False, (0, 0, 0)), status(sent[11], True, (8, 3, 1), estimate=0.002)]
+    found = summarise(Run(2, sent, pairs, [(sent[3], sent[3] + 6 * MS)], statuses))
+    assert (found["sent"], found["answered"], found["dropped"], found["refused"]) == (10, 7, 2, 1)
+    assert (found["unaccounted"], found["lost_answers"]) == (0, 0)
+    assert found["p50_ms"] == found["max_ms"] == pytest.approx(4.0)
+    assert found["sent_hz"] == pytest.approx(100.0)
+    assert found["throughput_hz"] == pytest.approx(6 / 0.09, abs=0.01)
+    # Two dropped in a row: the answer before them is three intervals and a latency old.
+    assert found["age_max_ms"] == pytest.approx(34.0)
+    assert found["estimate_p50_ms"] == pytest.approx(2.0)
+    assert found["age_over_estimate"] == pytest.approx(17.0)
+    assert found["markers_p50_ms"] == pytest.approx(6.0)
+
+
+def test_clouds_and_answers_that_are_missing_are_told_apart():
+    sent = [10 * MS, 20 * MS, 30 * MS]
+    pairs = [(10 * MS, 12 * MS)]
+    # The node says that it answered two; of the third it knows nothing.
+    found = summarise(Run(0, sent, pairs, [], [status(30 * MS, True, (2, 0, 0), estimate=0.001)]))
+    assert (found["answered"], found["dropped"]) == (1, 2)
+    assert (found["unaccounted"], found["lost_answers"]) == (1, 1)
+
+
+def test_own_processor_time_is_seen():
+    before = usage_of(os.getpid())
+    end = time.process_time() + 0.3
+    while time.process_time() < end:
+        pass
+    after = usage_of(os.getpid())
+    # Ticks are 10 ms; other threads of this process may work too.
+    assert after.cpu_s - before.cpu_s >= 0.25
+    assert cpu_share(before, after) > 0.0
+    assert 10.0 < after.rss_mb < 20_000.0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_organ(tmp_path_factory.mktemp("organ"))
+
+
+def test_clouds_of_one_period_move_and_come_back(folder):
+    organ = load_organ(folder)
+    clouds = [
+        read_cloud(deserialize_message(data, PointCloud2))
+        for data in moving_clouds(organ, 300, 10.0, 0.02, 2.0, 0)
+    ]
+    assert len(clouds) == 20
+    moved = [np.linalg.norm(cloud.points - cloud.reference, axis=1).max() for cloud in clouds]
+    assert max(moved) == pytest.approx(0.02, abs=0.002) and np.argmax(moved) in (9, 10, 11)
+    assert moved[0] < 0.003 and moved[-1] < 0.004
+    assert all(np.array_equal(cloud.reference, clouds[0].reference) for cloud in clouds)
+
+
+def test_naive_paths_do_the_same_and_take_longer(folder):
+    organ = load_organ(folder)
+    for row in (time_cloud(organ, 2000), time_answer(organ)):
+        assert row["same_result"] is True
+        assert row["naive_over_ours"] > 2.0
+    ring = ring_alone()
+    assert (len(ring.surface.vertices), len(ring.surface.faces)) == (10_000, 20_000)
+
+
+@pytest.mark.timeout(120)
+def test_small_run_through_real_processes(folder, tmp_path):
+    out = tmp_path / "latency.json"
+    command = [str(executable("latency")), "--organ", str(folder), "--points", "200", "--rates", "20"]
+    command += ["--seconds", "1", "--markers", "--services", "--out", str(out)]
+    result = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+    report = json.loads(out.read_text())
+    assert report["start_to_answer_s"] > 0.0
+    plain, markers, services = report["end_to_end"]
+    for row in report["end_to_end"]:
+        assert (row["estimator"], row["device"], row["points"], row["rate_hz"]) == (
+            "elastic",
+            "cpu",
+            200,
+            20.0,
+        )
+        assert row["sent"] == 20 == row["answered"] + row["dropped"]
+        assert (row["unaccounted"], row["refused"]) == (0, 0)
+        assert 0.0 < row["p50_ms"] <= row["p95_ms"] <= row["p99_ms"] <= row["max_ms"]
+        # The sender's clock and the receiver's are one: an answer cannot come before its estimate is made.
+        assert row["p50_ms"] > row["estimate_p50_ms"] > 0.0
+        assert row["age_max_ms"] > row["p50_ms"] + 40.0
+        assert row["sent_hz"] == pytest.approx(20.0, rel=0.1)
+        assert row["cpu_share"] > 0.0 and row["rss_mb"] > 100.0
+        assert row["structures_vertices"] == len(load_organ(folder).structure_points)
+    assert "markers_p50_ms" not in plain and markers["markers_p50_ms"] > 0.0
+    for times in services["service_ms"].values():
+        assert times["calls"] >= 2 and 0.0 < times["p50_ms"] <= times["max_ms"]
+    assert "from start to first answer" in result.stdout
+
+
+def test_wrong_arguments_are_one_sentence_and_exit_code_2():
+    for arguments, words in (
+        (["--rates", "0"], "--rates and --seconds above 0"),
+        (["--organ", "nowhere"], "nowhere"),
+        (["--parameter", "tracking"], "NAME:=VALUE"),
+    ):
+        command = [str(executable("latency")), *arguments]
+        result = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
+        assert result.returncode == 2
+        assert words in result.stderr and "Traceback" not in result.stderr
+
+
+@pytest.mark.timeout(60)
+def test_interrupted_run_leaves_no_processes(folder, tmp_path):
+    command = [str(executable("latency")), "--organ", str(folder), "--seconds", "60"]
+    tool = subprocess.Popen(
+        command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    for line in tool.stdout:
+        if "first answer" in line:
+            break
+    tool.send_signal(signal.SIGTERM)
+    _, errors = tool.communicate(timeout=30.0)
+    assert (tool.returncode, "Traceback" in errors) == (130, False), errors
+    listing = subprocess.run(["ps", "-eww", "-o", "args"], capture_output=True, text=True, check=True).stdout
+    assert [line for line in listing.splitlines() if str(folder) in line] == []
