@@ -27,6 +27,7 @@ from softtissue_estimator.volume_mesh import VolumeMesh
 
 _CRUSHED = 0.2  # det F below which an element follows the corotated law
 _SMALLEST_STEP = 0.05
+_MOST_STRETCH = 2.5  # several times what tears a liver
 _TORN_SHARE = 0.002  # of the volume; single small elements turn for a step and come back
 
 
@@ -209,9 +210,15 @@ class HyperelasticBody:
         return Tangent(state, offset, factor.solve(self._loads))
 
     def is_torn(self, displacement: Tensor) -> bool:
-        """Tell whether a displacement (n, 3) m turns more than a few elements inside out, as no tissue can."""
-        inverted = torch.linalg.det(self.deformation_gradient(displacement)) < 0.0
-        return bool(self._volumes[inverted].sum() > _TORN_SHARE * self._volumes.sum())
+        """Tell whether a displacement (n, 3) m does to more than a few elements what no tissue endures.
+
+        They are turned inside out, or as long as an incompressible element that is stretched `_MOST_STRETCH` times.
+        """
+        gradient = self.deformation_gradient(displacement)
+        inverted = torch.linalg.det(gradient) < 0.0
+        length = gradient.square().sum(dim=(1, 2))  # of the principal stretches, squared
+        impossible = inverted | (length > _MOST_STRETCH**2 + 2.0 / _MOST_STRETCH)
+        return bool(self._volumes[impossible].sum() > _TORN_SHARE * self._volumes.sum())
 
     def guarded(self, start: Tensor, end: Tensor) -> Tensor:
         """Go from one displacement (n, 3) m towards another, as far as no sound element is crushed on the way."""

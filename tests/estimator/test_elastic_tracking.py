@@ -60,11 +60,12 @@ def difference(first, second):
     return np.linalg.norm(first.displacement - second.displacement, axis=1).mean()
 
 
-def test_answers_of_an_organ_at_rest_come_close_to_those_of_a_frame_on_its_own(alone, stream):
+def test_answers_of_an_organ_at_rest_come_closer_to_those_of_a_frame_on_its_own(alone, stream):
     expected = alone.estimate(seen(3.0))
     first = difference(stream.estimate(seen(3.0)), expected)
     assert first > 2e-4  # linear about the rigid motion alone
-    until(lambda: difference(stream.estimate(seen(3.0)), expected) < 0.5 * first)
+    # Not all the way: no load bends an organ quite like that, and several explain it as well.
+    until(lambda: difference(stream.estimate(seen(3.0)), expected) < 0.75 * first)
 
 
 def test_answering_never_waits_for_a_factorisation(stream, monkeypatch):

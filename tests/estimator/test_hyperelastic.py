@@ -118,3 +118,29 @@ def test_a_step_stops_before_it_crushes_a_sound_element():
 def test_a_body_that_nothing_holds_is_refused():
     with pytest.raises(OrganError, match="expected a stiffness that can be factorised"):
         HyperelasticBody(MESH, -1e-3 * np.eye(COUNT), LOADS, CPU).at_rest(RATIO)
+
+
+def deformed_beyond(share, stretches):
+    """Displacement that stretches the elements of the last `share` of the length of the block so."""
+    begin = 0.06 * (1.0 - share)
+    beyond = np.maximum(MESH.nodes[:, 0] - begin, 0.0)
+    moved = np.zeros_like(MESH.nodes)
+    moved[:, 0] = (stretches[0] - 1.0) * beyond
+    moved[:, 1:] = (np.array(stretches[1:]) - 1.0) * MESH.nodes[:, 1:] * (beyond > 0.0)[:, None]
+    return torch.from_numpy(moved)
+
+
+@pytest.mark.parametrize(
+    ("stretches", "torn"),
+    [
+        ((1.0, 1.0, 1.0), False),
+        ((1.8, 0.75, 0.75), False),  # more than any organ, but no more than an estimate may pass through
+        ((3.0, 1.0, 1.0), True),
+        ((-0.5, 1.0, 1.0), True),
+    ],
+)
+def test_what_no_tissue_endures_is_told(stretches, torn):
+    assert BODY.is_torn(deformed_beyond(0.5, stretches)) is torn
+    turned = rotation([0.3, -0.8, 0.5], 1.2)
+    moved = (MESH.nodes + deformed_beyond(0.5, stretches).numpy()) @ turned.T - MESH.nodes
+    assert BODY.is_torn(torch.from_numpy(moved)) is torn
