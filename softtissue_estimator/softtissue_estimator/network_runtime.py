@@ -85,25 +85,35 @@ class NetworkRuntime:
 
 
 def _prepared(network: nn.Module, example: Tensor, dtype: torch.dtype) -> nn.Module:
-    if example.device.type == "cpu":
-        shapes = _input_shapes(network, example)
-        prepared = copy.deepcopy(network).to(dtype)
-        for name, shape in shapes.items():
-            module = prepared.get_submodule(name)
-            if isinstance(module, nn.AvgPool3d):
-                module = _pooling_convolution(shape[1], module).to(dtype)
-            if isinstance(module, nn.Conv3d):
-                _replace(prepared, name, _PackedConvolution(module, shape))
-    else:
-        prepared = copy.deepcopy(network).to(dtype)
-        for weight in prepared.parameters():
-            if weight.ndim == 5:
-                weight.data = weight.data.contiguous(memory_format=torch.channels_last_3d)
+    prepare = _packed if example.device.type == "cpu" else _channels_last
+    prepared = prepare(network, example, dtype)
     for name, module in list(prepared.named_modules()):
         if isinstance(module, nn.Softsign):
             _replace(prepared, name, _InPlaceSoftsign())
         elif isinstance(module, nn.SiLU):
             module.inplace = True
+    return prepared
+
+
+def _packed(network: nn.Module, example: Tensor, dtype: torch.dtype) -> nn.Module:
+    """Return the network with every convolution and pooling in oneDNN."""
+    prepared = copy.deepcopy(network).to(dtype)
+    for name, shape in _input_shapes(network, example).items():
+        module = prepared.get_submodule(name)
+        if isinstance(module, nn.AvgPool3d):
+            module = _pooling_convolution(shape[1], module).to(dtype)
+        if isinstance(module, nn.Conv3d):
+            _replace(prepared, name, _PackedConvolution(module, shape))
+    return prepared
+
+
+def _channels_last(network: nn.Module, _: Tensor, dtype: torch.dtype) -> nn.Module:
+    """Return the network with the channels of every weight together in memory."""
+    prepared = copy.deepcopy(network).to(dtype)
+    for module in prepared.modules():
+        if isinstance(module, nn.Conv3d):
+            weight = module.weight.detach().contiguous(memory_format=torch.channels_last_3d)
+            module.weight = nn.Parameter(weight, requires_grad=False)
     return prepared
 
 

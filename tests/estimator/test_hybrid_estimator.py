@@ -8,6 +8,7 @@ import torch
 
 from estimator.recorded_on_cpu import recorded_on_cpu
 from estimator.shapes import ellipsoid, organ_of
+from estimator.waiting_operators import WaitingOperators
 from softtissue_estimator import hybrid_estimator
 from softtissue_estimator.captured_call import CapturedCall
 from softtissue_estimator.checkpoint import checkpoint_kind, load_checkpoint, read_provenance
@@ -194,6 +195,17 @@ def test_a_captured_graph_gives_the_same_answers_and_each_stays_valid(
         ):
             np.testing.assert_allclose(found, wanted, atol=1e-12)
     assert np.abs(answers[0].sigma / answers[1].sigma - 1.0).max() > 1e-3
+
+
+def test_nothing_between_the_channels_and_the_answer_waits_for_a_gpu(
+    tmp_path, network, observation, monkeypatch
+):
+    made = estimator_of(tmp_path / "zero.safetensors", network)
+    elastic = made._elastic.estimate(observation)
+    monkeypatch.setattr(made._elastic, "estimate", lambda _: elastic)
+    with WaitingOperators() as found:
+        made.estimate(observation)
+    assert found.count > 50 and found.waiting == set()
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")

@@ -72,6 +72,19 @@ def test_prepared_is_the_network_itself(make, name, share):
         assert torch.equal(weight, before[key])
 
 
+@pytest.mark.parametrize("make", [paper_network, hybrid_network])
+def test_what_a_gpu_gets_is_the_network_itself(make):
+    """The same preparation, without the GPU."""
+    network = make()
+    inputs = inputs_of(network, 1)
+    with torch.inference_mode():
+        prepared = network_runtime._channels_last(network, inputs, torch.float32)
+        found = prepared(inputs.to(memory_format=torch.channels_last_3d))
+        torch.testing.assert_close(found, network(inputs), rtol=1e-4, atol=1e-5)
+    weights = [weight for weight in prepared.parameters() if weight.ndim == 5]
+    assert all(weight.is_contiguous(memory_format=torch.channels_last_3d) for weight in weights)
+
+
 def test_other_inputs_are_refused_as_by_the_network():
     network = paper_network()
     runtime = NetworkRuntime(network, (1, 5, 8, 8, 8), CPU, torch.float32, pytest.fail)

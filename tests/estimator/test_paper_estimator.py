@@ -9,6 +9,7 @@ import torch
 import trimesh
 
 from estimator.recorded_on_cpu import recorded_on_cpu
+from estimator.waiting_operators import WaitingOperators
 from softtissue_estimator import paper_estimator
 from softtissue_estimator.captured_call import CapturedCall
 from softtissue_estimator.checkpoint import save_checkpoint
@@ -141,6 +142,18 @@ def test_a_captured_graph_gives_the_same_answers_in_every_frame(
         np.testing.assert_array_equal(answer.displacement, expected.displacement)
         points = organ.query_points[:50]
         np.testing.assert_array_equal(answer.displacement_at(points)[0], expected.displacement_at(points)[0])
+
+
+def test_nothing_between_the_points_and_the_answer_waits_for_a_gpu(
+    checkpoint: Path, organ: Organ, observation: Observation
+) -> None:
+    estimator = _loaded(checkpoint, organ)
+    with WaitingOperators() as control:
+        torch.tensor([1.0]).sum().item()
+    assert control.waiting == {"lift_fresh", "_local_scalar_dense"}
+    with WaitingOperators() as found:
+        estimator.estimate(observation)
+    assert found.count > 50 and found.waiting == set()
 
 
 def test_precision_of_a_device_that_lacks_it(
