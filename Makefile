@@ -5,6 +5,9 @@ PYTHON ?= python3.11
 TESTS ?= tests
 PYTEST_ARGS ?=
 DEMO_ARGS ?=
+# make bench QUICK=1: at most five minutes; BENCH_ARGS=--help.
+QUICK ?=
+BENCH_ARGS ?=
 
 VENV_STAMP := .venv/.installed
 BUILD_STAMP := ros2_ws/install/.built
@@ -21,10 +24,10 @@ BUILD_INPUTS := scripts/build_workspace scripts/env.sh \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: build clean demo distclean format help lint test venv verify
+.PHONY: bench bench-gpu build clean demo distclean format help lint test venv verify
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 venv: $(VENV_STAMP) ## create .venv with everything pinned in constraints.txt
 
@@ -32,6 +35,12 @@ build: $(BUILD_STAMP) ## set up .venv and build the ROS 2 workspace
 
 demo: $(BUILD_STAMP) ## the main job on the bundled phantom: table, out/demo/report.json, out/demo/phantom.png
 	@scripts/demo $(DEMO_ARGS)
+
+bench: $(BUILD_STAMP) ## time of everything up to the whole path, out/bench/bench.json; QUICK=1: at most five minutes
+	@scripts/bench $(if $(QUICK),--quick) $(BENCH_ARGS)
+
+bench-gpu: $(BUILD_STAMP) ## the same on an NVIDIA GPU, out/bench_gpu/bench.json
+	@scripts/bench --device cuda --out out/bench_gpu $(if $(QUICK),--quick) $(BENCH_ARGS)
 
 test: $(BUILD_STAMP) ## all tests, in the built workspace
 	@echo "==> Running the tests"

@@ -14,6 +14,7 @@ from softtissue_training.cli import (
     export,
     generate,
     posterior,
+    realtime,
     records,
     show,
     timing,
@@ -53,6 +54,7 @@ def _parser() -> argparse.ArgumentParser:
         evaluate,
         benchmark,
         timing,
+        realtime,
         export,
         compare_solvers,
     )

@@ -92,7 +92,7 @@ class Session:
             with process(command, stderr=subprocess.PIPE) as child:
                 log = self._folder / "node.log"
                 threading.Thread(target=relay, args=(child.stderr, log), name="relay", daemon=True).start()
-                self._wait(child, lambda: self._receiver.ask("newest")["answers"] > 0, "a first answer")
+                self._wait(child, self._answered, "a first answer")
                 self._sender.ask("end", early=True)
                 heard = self._receiver.ask("end")
                 if attempt == 1 and _cached() != kept:
@@ -177,6 +177,11 @@ class Session:
             and self._receiver.ask("publishers")["publishers"] > 0
             and bool(self._reset.service_is_ready())
         )
+
+    def _answered(self) -> bool:
+        newest = self._receiver.ask("newest")
+        # The status, which names the device, follows the answer.
+        return bool(newest["answers"] and newest["statuses"])
 
     def _forget(self, child: "subprocess.Popen[str]", markers: bool) -> None:
         """Set the node's counters to zero; what it says about earlier clouds is not of this run."""

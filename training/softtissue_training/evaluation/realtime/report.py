@@ -1,0 +1,175 @@
+"""The benchmark's figures as JSON and as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from softtissue_training.evaluation.network_timing import table as network_table
+
+Row = Mapping[str, Any]
+
+# The mesh of finite elements that the ratios speak of: between that of the in-silico benchmark and the organ's own.
+FEM_MM = 7.0
+
+_PATH = (
+    ("estimator", "estimator"),
+    ("points", "points"),
+    ("vertices", "structures_vertices"),
+    ("Hz", "rate_hz"),
+    ("p50", "p50_ms"),
+    ("p95", "p95_ms"),
+    ("p99", "p99_ms"),
+    ("max", "max_ms"),
+    ("sent", "sent"),
+    ("answered", "answered"),
+    ("dropped", "dropped"),
+    ("answers/s", "throughput_hz"),
+    ("age p95", "age_p95_ms"),
+    ("age max", "age_max_ms"),
+    ("estimate p50", "estimate_p50_ms"),
+    ("cores", "cpu_share"),
+    ("RSS, MB", "rss_mb"),
+    ("GPU, MB", "gpu_memory_mb"),
+)
+
+
+def bench_summary(found: Mapping[str, Any], command: str, date: str) -> dict[str, Any]:
+    """Return what `bench.json` holds: all figures, their ratios, the command and the date."""
+    return {"command": command, "date": date, "ratios": ratios(found), **found}
+
+
+def ratios(found: Mapping[str, Any]) -> dict[str, float | None]:
+    """Say how many times as long what is replaced takes; None where one of the two was not measured.
+
+    `fem_over_X` compares one solution by finite elements of 7 mm with the median estimate of X in a stream, for the
+    same number of points; `fem_10mm_over_X` and `fem_over_X_alone` take coarser elements, or X without a stream.
+    """
+    middle = _middle_points(found)
+    stream = {r["estimator"]: _estimate_ms(r) for r in found["stages"] if r["points"] == middle}
+    alone = {r["estimator"]: _estimate_ms(r) for r in found["alone"]}
+    fem = {row["element_size_mm"]: row["p50_ms"] for row in found["fem"]}
+    paths = {row["path"]: row["naive_over_ours"] for row in found["messages"]}
+    result: dict[str, float | None] = {}
+    for name in dict.fromkeys(["elastic", "hybrid", *stream]):
+        result[f"fem_over_{name}"] = _ratio(fem.get(FEM_MM), stream.get(name))
+        result[f"fem_10mm_over_{name}"] = _ratio(fem.get(10.0), stream.get(name))
+        result[f"fem_over_{name}_alone"] = _ratio(fem.get(FEM_MM), alone.get(name))
+    result["markers_naive_over_ours"] = paths.get("markers published")
+    result["cloud_naive_over_ours"] = paths.get("cloud to arrays")
+    result["answer_naive_over_ours"] = paths.get("answer to bytes")
+    return result
+
+
+def _middle_points(found: Mapping[str, Any]) -> int:
+    points: Sequence[int] = found["plan"]["points"]
+    return points[len(points) // 2]
+
+
+def _estimate_ms(row: Row) -> float:
+    return float(row["stages"]["estimate"]["p50_ms"])
+
+
+def _ratio(value: float | None, reference: float | None) -> float | None:
+    return None if value is None or not reference else round(value / reference, 1)
+
+
+def markdown(summary: Mapping[str, Any]) -> str:
+    """Return the figures as tables."""
+    machine = summary["machine"]
+    gpu = f", {machine['gpu']}" if "gpu" in machine else ""
+    rows = summary["end_to_end"]
+    plain = [row for row in rows if not (row["markers"] or row["services"])]
+    parts = [
+        f"{machine['processor']}, {machine['cores']} cores{gpu}; {machine['system']}; {summary['date']}.",
+        f"```bash\n{summary['command']}\n```",
+        "## From cloud published to answer received, ms",
+        _table([title for title, _ in _PATH], ([_cell(row[key]) for _, key in _PATH] for row in plain)),
+        "With the markers heard; their own latency behind:",
+        _table(
+            [*(title for title, _ in _PATH[:8]), "dropped", "markers p50", "markers p95"],
+            (
+                [_cell(row.get(key)) for key in [*_keys(8), "dropped", "markers_p50_ms", "markers_p95_ms"]]
+                for row in rows
+                if row["markers"]
+            ),
+        ),
+        "## Parameters and services while the node estimates, ms",
+        _table(["estimator", "points", "Hz", "service", "calls", "p50", "p95", "max"], _services(rows)),
+        "## From the start of the node to the first answer, s",
+        _table(
+            ["estimator", "vertices", "s"],
+            (
+                [row["estimator"], str(row["structures_vertices"]), _cell(row["start_to_answer_s"])]
+                for row in summary["starts"]
+            ),
+        ),
+        "## Message paths alone, ms",
+        _table(
+            ["path", "size", "ours p50", "ours p95", "naive p50", "times as long"],
+            (
+                [
+                    _cell(row[key])
+                    for key in (
+                        "path",
+                        "size",
+                        "ours_p50_ms",
+                        "ours_p95_ms",
+                        "naive_p50_ms",
+                        "naive_over_ours",
+                    )
+                ]
+                for row in summary["messages"]
+            ),
+        ),
+        "## Stages of an estimate alone, p50 / p95 in ms",
+        _stages(summary["stages"]),
+        "## Networks alone, ms",
+        network_table(summary["networks"]),
+        "## Finite elements with the visible displacement prescribed",
+        _table(
+            ["elements, mm", "nodes", "tetrahedra", "ms"],
+            (
+                [_cell(row[key]) for key in ("element_size_mm", "nodes", "tetrahedra", "p50_ms")]
+                for row in summary["fem"]
+            ),
+        ),
+        "## Ratios",
+        _table(["ratio", ""], ([f"`{name}`", _cell(value)] for name, value in summary["ratios"].items())),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _keys(count: int) -> list[str]:
+    return [key for _, key in _PATH[:count]]
+
+
+def _services(rows: Iterable[Row]) -> Iterable[list[str]]:
+    for row in rows:
+        for service, times in row.get("service_ms", {}).items():
+            figures = [_cell(times[key]) for key in ("calls", "p50_ms", "p95_ms", "max_ms")]
+            yield [row["estimator"], str(row["points"]), _cell(row["rate_hz"]), f"`{service}`", *figures]
+
+
+def _stages(results: Sequence[Row]) -> str:
+    names = dict.fromkeys(name for row in results for name in row["stages"])
+    lines = []
+    for name in names:
+        found = (row["stages"].get(name) for row in results)
+        lines.append([name, *(f"{s['p50_ms']:.2f} / {s['p95_ms']:.2f}" if s else "" for s in found)])
+    return _table(["stage", *(f"{row['estimator']} {row['points']}" for row in results)], lines)
+
+
+def _table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [titles, ["---"] * len(titles), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return (
+            f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.4g}" if abs(value) < 1.0 else f"{value:.1f}"
+        )
+    return str(value)
