@@ -1,7 +1,5 @@
 """The elastic posterior behind the interface of every estimator."""
 
-from contextlib import nullcontext
-
 import numpy as np
 from scipy.sparse import csr_array
 from threadpoolctl import ThreadpoolController
@@ -121,9 +119,9 @@ class ElasticEstimator(Estimator):
     def estimate(self, observation: Observation) -> ElasticEstimate:
         """See `Estimator.estimate`."""
         model = self._loaded("estimate")
-        # In a stream the tracker's thread computes at the same time.
-        alone = nullcontext() if self._tracker is None else one_thread()
-        with self._threads.limit(limits=1, user_api="blas"), alone:
+        # Matrices of a few hundred rows gain little from a second core, where another program or the tracker's thread
+        # is at work on it they wait for it ten times as long as they compute.
+        with self._threads.limit(limits=1, user_api="blas"), one_thread():
             return self._estimate(observation, model)
 
     def _loaded(self, before: str) -> ElasticModel:
