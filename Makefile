@@ -37,10 +37,10 @@ demo: $(BUILD_STAMP) ## the main job on the bundled phantom: table, out/demo/rep
 	@scripts/demo $(DEMO_ARGS)
 
 bench: $(BUILD_STAMP) ## time of everything up to the whole path, out/bench/bench.json; QUICK=1: at most five minutes
-	@scripts/bench $(if $(QUICK),--quick) $(BENCH_ARGS)
+	@scripts/bench $(if $(filter-out 0,$(QUICK)),--quick) $(BENCH_ARGS)
 
 bench-gpu: $(BUILD_STAMP) ## the same on an NVIDIA GPU, out/bench_gpu/bench.json
-	@scripts/bench --device cuda --out out/bench_gpu $(if $(QUICK),--quick) $(BENCH_ARGS)
+	@scripts/bench --device cuda --out out/bench_gpu $(if $(filter-out 0,$(QUICK)),--quick) $(BENCH_ARGS)
 
 test: $(BUILD_STAMP) ## all tests, in the built workspace
 	@echo "==> Running the tests"

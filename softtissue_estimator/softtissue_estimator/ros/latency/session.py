@@ -128,6 +128,7 @@ class Session:
             "points": what.points,
             "structures_vertices": len(self._organ.structure_points),
             "rate_hz": what.rate_hz,
+            "seconds": what.seconds,
             "markers": what.markers,
             "services": what.services,
             **figures,

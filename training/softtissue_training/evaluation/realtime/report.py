@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from softtissue_training.evaluation.network_timing import table as network_table
+from softtissue_training.evaluation.realtime.aims import aims
 
 Row = Mapping[str, Any]
 
@@ -35,8 +36,9 @@ _PATH = (
 
 
 def bench_summary(found: Mapping[str, Any], command: str, date: str) -> dict[str, Any]:
-    """Return what `bench.json` holds: all figures, their ratios, the command and the date."""
-    return {"command": command, "date": date, "ratios": ratios(found), **found}
+    """Return what `bench.json` holds: all figures, their ratios, the aims, command and date."""
+    summary = {"command": command, "date": date, "ratios": ratios(found), **found}
+    return {**summary, "aims": aims(summary)}
 
 
 def ratios(found: Mapping[str, Any]) -> dict[str, float | None]:
@@ -83,6 +85,14 @@ def markdown(summary: Mapping[str, Any]) -> str:
     parts = [
         f"{machine['processor']}, {machine['cores']} cores{gpu}; {machine['system']}; {summary['date']}.",
         f"```bash\n{summary['command']}\n```",
+        "## Aims",
+        _table(
+            ["", "aim", "measured", "met"],
+            (
+                [row["what"], row["limit"], _cell(row["measured"]), "yes" if row["met"] else "no"]
+                for row in summary["aims"]
+            ),
+        ),
         "## From cloud published to answer received, ms",
         _table([title for title, _ in _PATH], ([_cell(row[key]) for _, key in _PATH] for row in plain)),
         "With the markers heard; their own latency behind:",
