@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import pytest
 import torch
 from matplotlib.image import imread
@@ -87,3 +90,13 @@ def test_generate_simulates_in_worker_processes(data_folder, tmp_path, capsys):
     assert "2 simulations" in capsys.readouterr().out
     for name in list_records(tmp_path):
         assert (tmp_path / name).read_bytes() == (data_folder / name).read_bytes()
+
+
+def test_without_the_estimator_one_sentence_says_what_to_do():
+    program = (
+        "import sys; sys.modules['softtissue_estimator'] = None\n"
+        "from softtissue_training.__main__ import main; sys.exit(main())"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr.count("\n") == 1 and "scripts/run softtissue-train" in ended.stderr
