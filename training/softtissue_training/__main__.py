@@ -8,7 +8,7 @@ def main() -> int:
     try:
         from softtissue_training.cli import main as run
     except ModuleNotFoundError as error:
-        if error.name != "softtissue_estimator":
+        if (error.name or "").partition(".")[0] != "softtissue_estimator":
             raise
         print(
             "softtissue-train: expected the package softtissue_estimator, got none; in a checkout: scripts/run"
