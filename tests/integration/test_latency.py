@@ -189,7 +189,7 @@ def test_small_benchmark_through_real_processes(tmp_path, monkeypatch, capfd):
     assert "from start to first answer" in capfd.readouterr().out
     said = []
     assert run_realtime(SMALL, tmp_path, said.append)["end_to_end"] == summary["end_to_end"]
-    assert all("kept from" in text for text in said) and len(said) == 3
+    assert sum("kept from" in text for text in said) == 3
 
 
 def test_wrong_arguments_are_one_sentence_and_exit_code_2():

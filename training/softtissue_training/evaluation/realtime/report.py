@@ -12,6 +12,8 @@ Row = Mapping[str, Any]
 
 # The mesh of finite elements that the ratios speak of: between that of the in-silico benchmark and the organ's own.
 FEM_MM = 7.0
+SOAK_S = 100.0
+"""Runs that last longer are looked at for growth."""
 
 _PATH = (
     ("estimator", "estimator"),
@@ -82,8 +84,10 @@ def markdown(summary: Mapping[str, Any]) -> str:
     gpu = f", {machine['gpu']}" if "gpu" in machine else ""
     rows = summary["end_to_end"]
     plain = [row for row in rows if not (row["markers"] or row["services"])]
+    soaks = [row for row in plain if row["seconds"] >= SOAK_S]
     parts = [
-        f"{machine['processor']}, {machine['cores']} cores{gpu}; {machine['system']}; {summary['date']}.",
+        f"{machine['processor']}, {machine['cores']} cores{gpu}; {machine['system']}; {summary['date']}. Other programs "
+        f"kept {machine['load_before']:g} cores busy when it began.",
         f"```bash\n{summary['command']}\n```",
         "## Aims",
         _table(
@@ -94,7 +98,10 @@ def markdown(summary: Mapping[str, Any]) -> str:
             ),
         ),
         "## From cloud published to answer received, ms",
-        _table([title for title, _ in _PATH], ([_cell(row[key]) for _, key in _PATH] for row in plain)),
+        _table(
+            [title for title, _ in _PATH],
+            ([_cell(row[key]) for _, key in _PATH] for row in plain if row not in soaks),
+        ),
         "With the markers heard; their own latency behind:",
         _table(
             [*(title for title, _ in _PATH[:8]), "dropped", "markers p50", "markers p95"],
@@ -104,6 +111,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
                 if row["markers"]
             ),
         ),
+        *_soak(soaks),
         "## Parameters and services while the node estimates, ms",
         _table(["estimator", "points", "Hz", "service", "calls", "p50", "p95", "max"], _services(rows)),
         "## From the start of the node to the first answer, s",
@@ -148,6 +156,29 @@ def markdown(summary: Mapping[str, Any]) -> str:
         _table(["ratio", ""], ([f"`{name}`", _cell(value)] for name, value in summary["ratios"].items())),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _soak(rows: Sequence[Row]) -> list[str]:
+    if not rows:
+        return []
+    columns = (
+        ("estimator", "estimator"),
+        ("sent", "sent"),
+        ("answered", "answered"),
+        ("dropped", "dropped"),
+        ("unaccounted", "unaccounted"),
+        ("p95", "p95_ms"),
+        ("max", "max_ms"),
+        ("first quarter p95", "first_quarter_p95_ms"),
+        ("last quarter p95", "last_quarter_p95_ms"),
+        ("max / estimate", "latency_over_estimate"),
+        ("age max / estimate", "age_over_estimate"),
+        ("RSS grown, MB", "rss_growth_mb"),
+    )
+    return [
+        f"## {rows[0]['rate_hz']:g} Hz for {rows[0]['seconds']:g} s, {rows[0]['points']} points, ms",
+        _table([title for title, _ in columns], ([_cell(row[key]) for _, key in columns] for row in rows)),
+    ]
 
 
 def _keys(count: int) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +27,7 @@ from softtissue_training.evaluation.timing import TimingPlan, measure
 Progress = Callable[[str], None]
 Part = dict[str, Any]
 
+_BUSY = 0.3  # cores
 _ALONE_FRAMES = 5  # the elastic estimator takes seconds for one
 
 
@@ -50,6 +52,10 @@ def run_realtime(plan: RealtimePlan, folder: Path, progress: Progress) -> dict[s
     if plan.device == "cuda" and not torch.cuda.is_available():
         raise InvalidInputError("device cuda: expected an NVIDIA GPU on this machine, got none")
     find_latency_tool()
+    # Of the last minute: what else the machine was doing.
+    load = os.getloadavg()[0]
+    if load > _BUSY:
+        progress(f"other programs keep {load:.1f} cores busy: every figure will be worse than it should be")
     organs = {count: folder / f"organ_{count}" for count in plan.vertices}
     for count, path in organs.items():
         ring_organ(path, count, progress)
@@ -78,7 +84,7 @@ def run_realtime(plan: RealtimePlan, folder: Path, progress: Progress) -> dict[s
         for estimator in plan.estimators:
             part = parts.get(f"soak_{estimator}", _soak, plan, estimator, first, folder)
             found["end_to_end"] += part["end_to_end"]
-    return {"machine": _machine(plan.device), "plan": dataclasses.asdict(plan), **found}
+    return {"machine": _machine(plan.device, load), "plan": dataclasses.asdict(plan), **found}
 
 
 class Parts:
@@ -163,8 +169,8 @@ def _finite_elements(plan: RealtimePlan, size_m: float, progress: Progress) -> P
     return time_finite_elements(size_m, plan.middle_points, plan.fem_repeats, plan.seed, progress)
 
 
-def _machine(device: str) -> Part:
-    found = machine()
+def _machine(device: str, load: float) -> Part:
+    found = machine() | {"load_before": round(load, 2)}
     if device == "cuda":
         found["gpu"] = torch.cuda.get_device_name()
     return found
