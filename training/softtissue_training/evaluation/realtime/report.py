@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from softtissue_training.evaluation.network_timing import table as network_table
 from softtissue_training.evaluation.realtime.aims import aims
 
 Row = Mapping[str, Any]
@@ -86,8 +85,8 @@ def markdown(summary: Mapping[str, Any]) -> str:
     plain = [row for row in rows if not (row["markers"] or row["services"])]
     soaks = [row for row in plain if row["seconds"] >= SOAK_S]
     parts = [
-        f"{machine['processor']}, {machine['cores']} cores{gpu}; {machine['system']}; {summary['date']}. Other programs "
-        f"kept {machine['load_before']:g} cores busy when it began.",
+        f"{machine['processor']}, {machine['cores']} cores{gpu}; {machine['system']}; {summary['date']}. "
+        f"Other programs kept {machine['load_before']:g} cores busy when it began.",
         f"```bash\n{summary['command']}\n```",
         "## Aims",
         _table(
@@ -143,7 +142,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
         "## Stages of an estimate alone, p50 / p95 in ms",
         _stages(summary["stages"]),
         "## Networks alone, ms",
-        network_table(summary["networks"]),
+        _networks(summary["networks"]),
         "## Finite elements with the visible displacement prescribed",
         _table(
             ["elements, mm", "nodes", "tetrahedra", "ms"],
@@ -199,6 +198,17 @@ def _stages(results: Sequence[Row]) -> str:
         found = (row["stages"].get(name) for row in results)
         lines.append([name, *(f"{s['p50_ms']:.2f} / {s['p95_ms']:.2f}" if s else "" for s in found)])
     return _table(["stage", *(f"{row['estimator']} {row['points']}" for row in results)], lines)
+
+
+def _networks(rows: Iterable[Row]) -> str:
+    lines = []
+    for row in rows:
+        cells = " x ".join(str(cells) for cells in row["shape"])
+        # 0 threads: on a GPU.
+        names = [row["network"], row["runtime"], row["precision"], str(row["threads"] or "GPU"), cells]
+        lines.append([*names, *(_cell(row[key]) for key in ("p50_ms", "p95_ms", "difference_mm"))])
+    titles = ["network", "runtime", "precision", "threads", "cells", "p50", "p95", "off by, mm"]
+    return _table(titles, lines)
 
 
 def _table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
