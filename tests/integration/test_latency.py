@@ -20,7 +20,7 @@ from softtissue_estimator.ros.conversions import read_cloud
 from softtissue_estimator.ros.latency.clouds import moving_clouds
 from softtissue_estimator.ros.latency.message_paths import ring_alone, time_answer, time_cloud
 from softtissue_estimator.ros.latency.statistics import Run, ages_ms, latencies_ms, quantiles, summarise
-from softtissue_estimator.ros.latency.usage import cpu_share, usage_of
+from softtissue_estimator.ros.latency.usage import cpu_share, gpu_memory_mb, usage_of
 from softtissue_training.evaluation.realtime.plan import RealtimePlan
 from softtissue_training.evaluation.realtime.report import bench_summary, markdown
 from softtissue_training.evaluation.realtime.run import run_realtime
@@ -105,6 +105,23 @@ def test_own_processor_time_is_seen():
     assert after.cpu_s - before.cpu_s >= 0.25
     assert cpu_share(before, after) > 0.0
     assert 10.0 < after.rss_mb < 20_000.0
+
+
+def test_gpu_memory_is_that_of_the_process_or_all_that_is_used(tmp_path, monkeypatch):
+    tool = tmp_path / "nvidia-smi"
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    for processes, all_used, expected in (
+        ("41, 100\n42, 1000\n", "2000", 1048.576),  # MiB to MB
+        ("41, 100\n", "2000", 2097.152),
+        ("42, [N/A]\n", "[N/A]", None),
+    ):
+        tool.write_text(
+            f"#!/bin/sh\ncase \"$1\" in *compute*) printf '{processes}' ;; *) echo '{all_used}' ;; esac\n"
+        )
+        tool.chmod(0o755)
+        assert gpu_memory_mb(42) == (None if expected is None else pytest.approx(expected))
+    monkeypatch.setenv("PATH", str(tmp_path / "nothing"))
+    assert gpu_memory_mb(42) is None
 
 
 @pytest.fixture(scope="module")
