@@ -4,6 +4,7 @@ import atexit
 import itertools
 import logging
 import threading
+import time
 from dataclasses import dataclass
 
 import torch
@@ -16,6 +17,9 @@ _log = logging.getLogger(__name__)
 _REVIVED_SHARE = 1e-3
 _DOUBT_EVERY = 4  # steps of the thread, another Poisson's ratio is tried
 _CLEARLY_MORE = 1.0  # logarithm of the evidence's ratio from which it is believed
+_STILL_M = 0.001  # an organ that has moved by less since it was made linear is so nearly enough
+_SETTLED_STEPS = 12  # of the thread about a still organ; every ratio nearby is tried in as many
+_REFRESH_S = 1.0  # after which it makes another: what is seen of a still organ may change
 _START_UPDATES = 2  # of the variances, of all loads; the thread makes more
 _STOP_TIMEOUT_S = 3.0  # several times what a step takes
 
@@ -37,8 +41,8 @@ class ElasticTracker:
 
     An answer takes milliseconds, because the organ is linear about its latest known state and few loads are relevant.
     Between answers a thread makes the organ linear about the newest one, with all loads, and so catches up with a
-    moving organ in a fraction of a second. Of an organ that stands still the thread makes further steps where
-    `Solver.solve` ends.
+    moving organ in a fraction of a second. Of an organ that stands still the thread makes some further steps where
+    `Solver.solve` ends, and then leaves the processor to others.
     """
 
     def __init__(self) -> None:
@@ -47,6 +51,8 @@ class ElasticTracker:
         self._rigid = False  # whether the guide is about a rigid motion
         self._ratio: int | None = None  # survives a loss of track: the organ stays the same
         self._epoch = 0
+        self._settled = 0  # steps since the organ last moved
+        self._stepped_s = 0.0
         self._doubts = itertools.cycle([0] * (_DOUBT_EVERY - 1) + [1] + [0] * (_DOUBT_EVERY - 1) + [-1])
         self._closed = False
         self._worker: LatestWorker[_Task] | None = None
@@ -67,7 +73,12 @@ class ElasticTracker:
             floor = _REVIVED_SHARE * float(guide.all_variances.max())
             variances = guide.all_variances.clamp_min(floor)
         task = _Task(solver, belief, variances, epoch, not rigid, ratio)
+        still = guide is not None and not rigid and _distance(belief.mean, guide.tangent.state) < _STILL_M
         with self._lock:
+            if not still:
+                self._settled = 0
+            elif self._settled >= _SETTLED_STEPS and time.monotonic() - self._stepped_s < _REFRESH_S:
+                return belief
             if started is not None and epoch == self._epoch:
                 self._guide, self._rigid = started, True
             if self._worker is None and not self._closed:
@@ -99,7 +110,9 @@ class ElasticTracker:
             better = self._improved(task)
         with self._lock:
             if task.epoch == self._epoch:
+                self._settled = self._settled + 1 if better.ratio == self._ratio else 0
                 self._guide, self._rigid, self._ratio = guide_of(better), False, better.ratio
+                self._stepped_s = time.monotonic()
 
     def _improved(self, task: _Task) -> Belief:
         better = self._step(task, task.ratio)
@@ -118,3 +131,8 @@ class ElasticTracker:
         with self._lock:
             self._worker = None  # the next answer starts another one
         self.forget()
+
+
+def _distance(first: torch.Tensor, second: torch.Tensor) -> float:
+    """Distance that any node moves from one displacement (n, 3) m to another, at most."""
+    return float(torch.linalg.vector_norm(first - second, dim=1).max())

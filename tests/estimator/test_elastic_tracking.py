@@ -83,6 +83,29 @@ def test_answering_never_waits_for_a_factorisation(stream, monkeypatch):
     assert threading.get_ident() not in threads
 
 
+def test_the_thread_rests_while_the_organ_does_and_wakes_when_it_moves(stream, monkeypatch):
+    steps = []
+    improve = Solver.improve
+
+    def counted(*arguments, **keywords):
+        steps.append(time.monotonic())
+        return improve(*arguments, **keywords)
+
+    monkeypatch.setattr(Solver, "improve", counted)
+
+    def rests():
+        """Answer for a while; the thread has at most a refreshing step to make in it."""
+        before, end = len(steps), time.monotonic() + 0.9
+        while time.monotonic() < end:
+            stream.estimate(seen(2.0))
+            time.sleep(0.01)
+        return len(steps) <= before + 2
+
+    until(lambda: rests())
+    before = len(steps)
+    until(lambda: stream.estimate(seen(2.5)) and len(steps) > before + 3)
+
+
 def test_the_tissue_is_recognised_while_the_organ_is_watched():
     stream = ElasticEstimator(EstimatorConfig(tracking=True))
     stream.load_organ(ORGAN)

@@ -75,7 +75,7 @@ def test_parameters_and_services_answer_while_inference_runs(folder, tmp_path):
         points = WarpPoints.Request(points=np.linspace(0.0, 0.01, 300).tolist())
         points.header.frame_id = "organ"
         questions = [(get, GetParameters.Request(names=["estimator"])), (warp, points)]
-        with Stream(client, scene.cloud(0), 300.0) as stream:
+        with Stream(client, scene.cloud(0), 300.0):
             client.wait(lambda: client.answers, "first answer")
             for service, _ in questions:
                 client.wait(service.service_is_ready, service.srv_name)
