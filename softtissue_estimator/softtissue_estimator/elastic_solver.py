@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -39,6 +40,7 @@ MOST_RELEVANT = 40
 LOST_M = 0.0015
 """Where more than this is left unexplained, the organ has moved too far to be followed."""
 _CLEAR_OUTLIER = 0.25
+_CLEARLY_LARGER = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,17 +155,20 @@ class Solver:
 
         None where the organ has moved too far since for that.
         """
-        weight = np.ones(len(self._seen.precision))
+        weight, sigma = np.ones(len(self._seen.precision)), guide.model_sigma_m
         for _ in range(2):
-            belief = self._explain(
-                guide.tangent, guide.variances, guide.model_sigma_m, weight, 1, guide.ratio
+            explain = partial(
+                self._explain, guide.tangent, guide.variances, weight=weight, updates=1, ratio=guide.ratio
             )
+            belief = self._untorn(explain, sigma)
             residual = self.residual(belief)
-            weight = self._weights(residual, guide.model_sigma_m)
-            if weight.min() == 1.0:
+            weight = self._weights(residual, belief.model_sigma_m)
+            misfit = self._misfit(residual, weight)
+            # Loads that explained the earlier observation closely explain this one at any price, far from what is seen.
+            sigma = max(sigma, self._model_sigma(misfit))
+            if weight.min() == 1.0 and sigma <= _CLEARLY_LARGER * belief.model_sigma_m:
                 break
-        lost = self._misfit(residual, weight) >= LOST_M or self._model.body.is_torn(belief.mean)
-        return None if lost else belief
+        return None if misfit >= LOST_M else belief
 
     def start(self, updates: int = UPDATES) -> Belief:
         """Explain the observation with the organ linear about its rigid motion: the first step of `solve`."""
