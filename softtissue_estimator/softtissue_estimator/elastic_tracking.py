@@ -82,7 +82,7 @@ class ElasticTracker:
             if started is not None and epoch == self._epoch:
                 self._guide, self._rigid = started, True
             if self._worker is None and not self._closed:
-                self._worker = LatestWorker(self._improve, self._on_crash, "tracker")
+                self._worker = LatestWorker(self._improve, self._on_crash, "tracker", background=True)
                 # An interpreter that ends while torch works in a thread aborts.
                 atexit.register(self.close)
             if self._worker is not None:

@@ -1,10 +1,14 @@
 """A thread that always works on the newest item and never on a queue. Knows no ROS."""
 
+import os
+import sys
 import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
 ItemT = TypeVar("ItemT")
+
+_LOW_PRIORITY = 10
 
 
 class LatestWorker(Generic[ItemT]):
@@ -17,6 +21,8 @@ class LatestWorker(Generic[ItemT]):
         Takes what `work` raised; the thread ends with it.
     name : str
         Of the thread.
+    background : bool
+        Whether the other threads of the process come first.
     """
 
     def __init__(
@@ -24,11 +30,13 @@ class LatestWorker(Generic[ItemT]):
         work: Callable[[ItemT], None],
         on_crash: Callable[[BaseException], None],
         name: str = "estimate",
+        background: bool = False,
     ) -> None:
         self._work, self._on_crash = work, on_crash
         self._condition = threading.Condition()
         self._item: ItemT | None = None
         self._stopping = False
+        self._background = background
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
@@ -55,6 +63,9 @@ class LatestWorker(Generic[ItemT]):
         return not self._thread.is_alive()
 
     def _run(self) -> None:
+        if self._background and sys.platform == "linux":
+            # There, and only there, a thread has a priority of its own.
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LOW_PRIORITY)
         while True:
             with self._condition:
                 self._condition.wait_for(lambda: self._item is not None or self._stopping)
