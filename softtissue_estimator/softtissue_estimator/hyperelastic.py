@@ -215,29 +215,29 @@ class HyperelasticBody:
         They are turned inside out, or as long as an incompressible element that is stretched `_MOST_STRETCH` times.
         """
         gradient = self.deformation_gradient(displacement)
-        inverted = torch.linalg.det(gradient) < 0.0
+        inverted = determinant(gradient) < 0.0
         length = gradient.square().sum(dim=(1, 2))  # of the principal stretches, squared
         impossible = inverted | (length > _MOST_STRETCH**2 + 2.0 / _MOST_STRETCH)
         return bool(self._volumes[impossible].sum() > _TORN_SHARE * self._volumes.sum())
 
     def guarded(self, start: Tensor, end: Tensor) -> Tensor:
         """Go from one displacement (n, 3) m towards another, as far as no sound element is crushed on the way."""
-        before = torch.linalg.det(self.deformation_gradient(start))
+        before = determinant(self.deformation_gradient(start))
         sound = before > _CRUSHED
         share = 1.0
         while share > _SMALLEST_STEP:
             state = start + share * (end - start)
-            after = torch.linalg.det(self.deformation_gradient(state))
+            after = determinant(self.deformation_gradient(state))
             if not bool((sound & (after < 0.5 * _CRUSHED)).any()):
                 return state
             share *= 0.7
         return start + share * (end - start)
 
     def _neo_hookean(self, gradient: Tensor, lame: float, shear: float) -> _Elements:
-        crushed = torch.linalg.det(gradient) < _CRUSHED
+        crushed = determinant(gradient) < _CRUSHED
         sound = torch.where(crushed[:, None, None], self._identity, gradient)
         inverse = torch.linalg.inv(sound)
-        coefficient = shear - self._averaged.pressure(torch.log(torch.linalg.det(sound)), lame)
+        coefficient = shear - self._averaged.pressure(torch.log(determinant(sound)), lame)
         stress = shear * sound - coefficient[:, None, None] * inverse.transpose(1, 2)
         elements = _Elements(stress, self._gradients @ inverse, coefficient, crushed)
         if bool(crushed.any()):
@@ -251,7 +251,7 @@ class HyperelasticBody:
         """Do as `_neo_hookean` for the corotated law, the change of the rotation left out of the stiffness."""
         left, _, right = torch.linalg.svd(gradient)
         # A rotation, not a reflection: the direction that is compressed most is turned.
-        left[:, :, 2] *= torch.linalg.det(left @ right)[:, None]
+        left[:, :, 2] *= determinant(left @ right)[:, None]
         turn = left @ right
         strain = turn.transpose(1, 2) @ gradient - self._identity
         strain = 0.5 * (strain + strain.transpose(1, 2))
@@ -289,6 +289,13 @@ def _layers(mesh: VolumeMesh, springs: FloatArray) -> Layers:
     rows, columns = np.repeat(mesh.tets, 4, axis=1).reshape(-1), np.tile(mesh.tets, (1, 4)).reshape(-1)
     around = csr_array((np.ones(len(rows)), (rows, columns)), shape=springs.shape)
     return layers_of(csr_array(around @ around + csr_array(np.abs(springs))), 3)
+
+
+def determinant(matrices: Tensor) -> Tensor:
+    """Return the determinants (m,) of matrices (m, 3, 3), without a factorisation, which takes longer."""
+    first, second, third = matrices.unbind(1)
+    found: Tensor = (first * torch.linalg.cross(second, third)).sum(dim=1)
+    return found
 
 
 def to_tensor(values: FloatArray, device: torch.device) -> Tensor:

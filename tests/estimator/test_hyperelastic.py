@@ -7,7 +7,7 @@ import torch
 from estimator.linear_stiffness import averaged_stiffness
 from estimator.shapes import box_tets, rotation
 from softtissue_estimator.errors import OrganError
-from softtissue_estimator.hyperelastic import HyperelasticBody
+from softtissue_estimator.hyperelastic import HyperelasticBody, determinant
 from softtissue_training.physics.averaged_body import AveragedBody
 from softtissue_training.physics.material import Material
 
@@ -144,3 +144,8 @@ def test_what_no_tissue_endures_is_told(stretches, torn):
     turned = rotation([0.3, -0.8, 0.5], 1.2)
     moved = (MESH.nodes + deformed_beyond(0.5, stretches).numpy()) @ turned.T - MESH.nodes
     assert BODY.is_torn(torch.from_numpy(moved)) is torn
+
+
+def test_determinants():
+    matrices = torch.randn((20, 3, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(determinant(matrices), torch.linalg.det(matrices))
