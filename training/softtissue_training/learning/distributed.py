@@ -78,5 +78,7 @@ def joined(device: torch.device) -> Iterator[Ranks]:
     torch.distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
     try:
         yield Ranks(torch.distributed.get_rank(), torch.distributed.get_world_size())
+        # They leave together: one that is still at work with a process that is gone aborts now and then.
+        torch.distributed.barrier()
     finally:
         torch.distributed.destroy_process_group()
