@@ -22,12 +22,12 @@ def choose_precision(name: str, device: torch.device) -> torch.dtype:
         The name is unknown, or the device has no instructions for the format.
     """
     if name == "auto":
-        return torch.float16 if _computes_in("float16", device) else torch.float32
+        return torch.float16 if computes_in("float16", device) else torch.float32
     if name not in PRECISIONS:
         raise InvalidInputError(
             f"parameter precision: expected one of auto, {', '.join(PRECISIONS)}, got {name!r}"
         )
-    if not _computes_in(name, device):
+    if not computes_in(name, device):
         raise InvalidInputError(
             f"parameter precision: expected a format that the device computes in, got {name!r} on {device} without "
             "instructions for it"
@@ -46,7 +46,8 @@ def precision_name(dtype: torch.dtype) -> str:
     return str(dtype).removeprefix("torch.")
 
 
-def _computes_in(name: str, device: torch.device) -> bool:
+def computes_in(name: str, device: torch.device) -> bool:
+    """Return whether a device has instructions for a format of `PRECISIONS`; without them it would be slow."""
     if name == "float32":
         return True
     if device.type == "cuda":

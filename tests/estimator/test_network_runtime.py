@@ -20,7 +20,7 @@ from softtissue_estimator.network_input import (
     organ_grid,
     visible_displacement,
 )
-from softtissue_estimator.network_precision import _computes_in, choose_precision
+from softtissue_estimator.network_precision import choose_precision, computes_in
 from softtissue_estimator.network_runtime import NetworkRuntime
 from softtissue_estimator.observation import make_observation
 from softtissue_estimator.organ import load_organ
@@ -47,7 +47,7 @@ def inputs_of(network, seed):
 
 
 def needs(name, device=CPU):
-    if not _computes_in(name, device):
+    if not computes_in(name, device):
         pytest.skip(f"this processor does not compute in {name}")
 
 

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.hybrid_network import HybridNetwork
 from softtissue_estimator.network import UNet
+from softtissue_estimator.network_precision import computes_in
 
 PRECISIONS = ("auto", "float32", "bfloat16")
 
@@ -37,12 +38,7 @@ def choose_bfloat16(name: str, device: torch.device) -> bool:
 
 def has_bfloat16(device: torch.device) -> bool:
     """Return whether a device has instructions for bfloat16; without them it would be slower than float32."""
-    if device.type == "cuda":
-        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
-    if device.type != "cpu":
-        return False
-    # Not public in torch 2.13, which has no other way to ask.
-    return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
+    return computes_in("bfloat16", device)
 
 
 def restrict_autocast(network: UNet | HybridNetwork, device: torch.device) -> None:
