@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,12 +38,39 @@ def executable(name: str) -> Path:
 
 @contextmanager
 def process(command: list[str], **keywords: Any) -> Iterator["subprocess.Popen[str]"]:
-    """Run a process in a group of its own and end the group afterwards."""
-    child = subprocess.Popen(command, start_new_session=True, text=True, **keywords)
+    """Run a process in a group of its own and end the group afterwards, also when a signal comes while it starts."""
+    child = None
     try:
+        with _signals_held_back():
+            child = subprocess.Popen(command, start_new_session=True, text=True, **keywords)
         yield child
     finally:
-        _end(child)
+        if child is not None:
+            _end(child)
+
+
+@contextmanager
+def _signals_held_back() -> Iterator[None]:
+    """Handle SIGINT and SIGTERM at the end of the block.
+
+    A handler that raises within Popen leaves a process that runs and that nobody knows.
+    """
+    if threading.current_thread() is not threading.main_thread():  # to which alone Python gives signals
+        yield
+        return
+    arrived: list[int] = []
+    before = {
+        number: signal.signal(number, lambda sent, _frame: arrived.append(sent))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    for received in arrived:
+        # Sent again, so that it does what it would have done, whatever its handler is.
+        signal.raise_signal(received)
 
 
 def _end(child: "subprocess.Popen[str]") -> None:
