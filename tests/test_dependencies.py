@@ -17,6 +17,15 @@ BANNED = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["t
 ROS_PACKAGES = {*BANNED, "rosidl_parser", "tf2_geometry_msgs"}
 CORE_MODULES = sorted(path for path in CORE.rglob("*.py") if "ros" not in path.relative_to(CORE).parts)
 
+PACKAGES = {path.parent.name for path in CORE.glob("*/__init__.py")} - {"ros"}
+SHARED = {path.stem for path in CORE.glob("*.py")}
+
+
+def core_imports(paths: list[Path]) -> set[str]:
+    """First names, within the core, of all of it that files import."""
+    names = {name for path in paths for name in imports(path) if name.startswith("softtissue_estimator.")}
+    return {name.split(".")[1] for name in names}
+
 
 def imports(path: Path) -> set[str]:
     """Dotted names of all that a file imports, also inside functions; relative ones resolved."""
@@ -45,6 +54,29 @@ def offending(paths: list[Path], packages: set[str]) -> list[str]:
 def test_core_imports_neither_ros_nor_training():
     assert len(CORE_MODULES) > 10
     assert offending(CORE_MODULES, ROS_PACKAGES | {"softtissue_estimator.ros", "softtissue_training"}) == []
+
+
+@pytest.mark.parametrize(
+    ("folder", "others"),
+    [
+        ("mesh_files", {"mesh_files", "errors", "mesh"}),
+        ("inference", {"inference", "errors", "stopwatch"}),
+        ("elastic", {"elastic", "inference"} | SHARED),
+        ("hybrid", {"hybrid", "elastic", "inference"} | SHARED),
+    ],
+)
+def test_packages_of_the_core_import_in_one_direction(folder, others):
+    modules = sorted((CORE / folder).glob("*.py"))
+    assert len(modules) > 3
+    assert core_imports(modules) <= others
+
+
+def test_only_the_entries_of_packages_are_imported_by_what_is_shared():
+    entries = {"mesh_io": "mesh_files", "check_organ": "elastic", "paper_estimator": "inference"}
+    found = {path.stem: core_imports([path]) & PACKAGES for path in sorted(CORE.glob("*.py"))}
+    assert {name: packages for name, packages in found.items() if packages} == {
+        name: {package} for name, package in entries.items()
+    }
 
 
 def test_ros_side_does_not_import_training():

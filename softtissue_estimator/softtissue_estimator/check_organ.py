@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from softtissue_estimator.elastic.volume_mesh import tetrahedralise
 from softtissue_estimator.errors import SoftTissueError
 from softtissue_estimator.log_lines import log_lines
 from softtissue_estimator.mesh import enclosed_volume, face_areas, vertex_areas
 from softtissue_estimator.organ import Organ, load_organ
 from softtissue_estimator.organ_checks import share_inside
-from softtissue_estimator.volume_mesh import tetrahedralise
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:

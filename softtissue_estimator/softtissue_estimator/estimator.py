@@ -102,7 +102,7 @@ class Estimator(ABC):
 
 
 def _elastic(config: EstimatorConfig) -> Estimator:
-    return _construct("elastic_estimator", "ElasticEstimator", config)
+    return _construct("elastic.estimator", "ElasticEstimator", config)
 
 
 def _paper(config: EstimatorConfig) -> Estimator:
@@ -110,7 +110,7 @@ def _paper(config: EstimatorConfig) -> Estimator:
 
 
 def _hybrid(config: EstimatorConfig) -> Estimator:
-    return _construct("hybrid_estimator", "HybridEstimator", config)
+    return _construct("hybrid.estimator", "HybridEstimator", config)
 
 
 def _construct(module: str, name: str, config: EstimatorConfig) -> Estimator:

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from softtissue_estimator.cell_surface import CellBlock, check_cells, surface_of_cells
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.mesh import FloatArray, IntArray, SurfaceMesh
-from softtissue_estimator.msh_files import MSH_FORMATS, read_msh
-from softtissue_estimator.obj_files import read_obj
-from softtissue_estimator.trimesh_files import read_with_trimesh
-from softtissue_estimator.vtk_files import VTK_FORMATS, read_vtk
+from softtissue_estimator.mesh_files.cell_surface import CellBlock, check_cells, surface_of_cells
+from softtissue_estimator.mesh_files.msh_files import MSH_FORMATS, read_msh
+from softtissue_estimator.mesh_files.obj_files import read_obj
+from softtissue_estimator.mesh_files.trimesh_files import read_with_trimesh
+from softtissue_estimator.mesh_files.vtk_files import VTK_FORMATS, read_vtk
 
 MESH_FORMATS = (".stl", ".ply", ".obj", *VTK_FORMATS, *MSH_FORMATS)
 

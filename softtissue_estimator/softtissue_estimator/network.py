@@ -53,7 +53,7 @@ class UNet(nn.Module):
         spec = self.architecture
         widths = spec.widths
         self.encoder = nn.ModuleList()
-        # A module for every level, so that each can be prepared for its own input (`network_runtime`).
+        # A module for every level, so that each can be prepared for its own input (`inference.runtime`).
         self.pools = nn.ModuleList()
         incoming = spec.in_channels
         for width in widths[:-1]:

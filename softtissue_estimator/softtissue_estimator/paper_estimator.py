@@ -12,13 +12,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from softtissue_estimator.captured_call import CapturedCall
 from softtissue_estimator.checkpoint import load_checkpoint
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.device import StageClock, choose_device, one_thread, to_device, to_host
 from softtissue_estimator.displacement_field import FieldSampler
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimator import Estimate, Estimator, Progress, silent
+from softtissue_estimator.inference.captured_call import CapturedCall
+from softtissue_estimator.inference.device import StageClock, choose_device, one_thread, to_device, to_host
+from softtissue_estimator.inference.precision import choose_precision
+from softtissue_estimator.inference.runtime import NetworkRuntime
 from softtissue_estimator.network_input import (
     NetworkSpec,
     OrganChannels,
@@ -28,8 +30,6 @@ from softtissue_estimator.network_input import (
     organ_grid,
     visible_displacement,
 )
-from softtissue_estimator.network_precision import choose_precision
-from softtissue_estimator.network_runtime import NetworkRuntime
 from softtissue_estimator.observation import Observation
 from softtissue_estimator.organ import Organ
 from softtissue_estimator.resources import bundled_checkpoint

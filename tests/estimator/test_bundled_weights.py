@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softtissue_estimator.checkpoint import Checkpoint, load_checkpoint
-from softtissue_estimator.hybrid_checkpoint import load_hybrid_checkpoint
-from softtissue_estimator.hybrid_input import HybridSpec
+from softtissue_estimator.hybrid.checkpoint import load_hybrid_checkpoint
+from softtissue_estimator.hybrid.input import HybridSpec
 from softtissue_estimator.network import UNetArchitecture, parameter_count
 from softtissue_estimator.network_input import CHANNELS
 from softtissue_estimator.resources import bundled_checkpoint

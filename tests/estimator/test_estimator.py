@@ -5,7 +5,7 @@ import pytest
 
 from softtissue_estimator import estimator
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.elastic_estimator import ElasticEstimator
+from softtissue_estimator.elastic.estimator import ElasticEstimator
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimator import create_estimator, register_estimator
 

@@ -9,8 +9,8 @@ import trimesh
 from estimator.shapes import box_tets, ellipsoid
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.mesh import SurfaceMesh, enclosed_volume
+from softtissue_estimator.mesh_files.vtk_files import _blocks
 from softtissue_estimator.mesh_io import MESH_FORMATS, read_mesh
-from softtissue_estimator.vtk_files import _blocks
 
 MM = 1e-3
 LIVER = ellipsoid((0.09, 0.06, 0.05), subdivisions=2)

@@ -11,11 +11,11 @@ import trimesh
 from estimator.recorded_on_cpu import recorded_on_cpu
 from estimator.waiting_operators import WaitingOperators
 from softtissue_estimator import paper_estimator
-from softtissue_estimator.captured_call import CapturedCall
 from softtissue_estimator.checkpoint import save_checkpoint
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import CheckpointError, InvalidInputError
 from softtissue_estimator.estimator import create_estimator
+from softtissue_estimator.inference.captured_call import CapturedCall
 from softtissue_estimator.mesh import SurfaceMesh
 from softtissue_estimator.network import UNet, UNetArchitecture
 from softtissue_estimator.network_input import (
@@ -160,7 +160,7 @@ def test_precision_of_a_device_that_lacks_it(
     checkpoint: Path, organ: Organ, observation: Observation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = _loaded(checkpoint, organ, precision="float32").estimate(observation)
-    monkeypatch.setattr("softtissue_estimator.network_precision._cpu_has", lambda _: False)
+    monkeypatch.setattr("softtissue_estimator.inference.precision._cpu_has", lambda _: False)
     np.testing.assert_array_equal(
         _loaded(checkpoint, organ).estimate(observation).displacement, expected.displacement
     )

@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 import torch
 
-from softtissue_estimator import hybrid_estimator
+import softtissue_estimator
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimator import create_estimator
-from softtissue_estimator.hybrid_checkpoint import save_hybrid_checkpoint
-from softtissue_estimator.hybrid_network import HybridNetwork
+from softtissue_estimator.hybrid import estimator as hybrid_estimator
+from softtissue_estimator.hybrid.checkpoint import save_hybrid_checkpoint
+from softtissue_estimator.hybrid.network import HybridNetwork
 from softtissue_estimator.mesh import face_areas, vertex_areas
 from softtissue_estimator.organ import make_organ
 from softtissue_training.cli import main
@@ -204,11 +205,17 @@ def test_attached_region_is_told_wrongly_in_either_direction(samples):
 
 def test_hash_of_the_estimator_follows_what_its_answers_depend_on(tmp_path, monkeypatch):
     copy = tmp_path / "core"
-    shutil.copytree(Path(posteriors.softtissue_estimator.__file__).parent, copy)
+    shutil.copytree(Path(softtissue_estimator.__file__).parent, copy)
     before = posteriors.elastic_code_hash()
-    monkeypatch.setattr(posteriors.softtissue_estimator, "__file__", str(copy / "__init__.py"))
+    monkeypatch.setattr(softtissue_estimator, "__file__", str(copy / "__init__.py"))
     assert posteriors.elastic_code_hash() == before
-    for name, changes in (("config", False), ("paper_estimator", False), ("volume_mesh", True)):
+    for name, changes in (
+        ("config", False),
+        ("paper_estimator", False),
+        ("mesh_files/vtk_files", False),
+        ("elastic/volume_mesh", True),
+        ("surface_lookup", True),
+    ):
         path = copy / f"{name}.py"
         path.write_text(path.read_text() + "# changed\n")
         assert (posteriors.elastic_code_hash() != before) == changes, name

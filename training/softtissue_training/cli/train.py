@@ -170,7 +170,7 @@ def _seconds(minutes: float | None) -> float | None:
 def _train(options: argparse.Namespace) -> int:
     import torch
 
-    from softtissue_estimator.device import choose_device
+    from softtissue_estimator.inference.device import choose_device
     from softtissue_training.learning.distributed import local_device
     from softtissue_training.learning.precision import choose_bfloat16
     from softtissue_training.learning.run_files import STATE

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
-import softtissue_estimator
 import softtissue_training
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
@@ -28,6 +27,7 @@ from softtissue_estimator.observation import Observation
 from softtissue_estimator.organ import Organ
 from softtissue_estimator.rigid import fit_rigid
 from softtissue_estimator.surface_lookup import SurfaceLookup
+from softtissue_training.core_sources import core_sources
 from softtissue_training.evaluation.case import EvaluationCase
 
 FloatArray = NDArray[np.float64]
@@ -259,5 +259,5 @@ def _sources(kind: str) -> list[Path]:
     if kind == "fem":
         files += [training / "evaluation" / "prescribed.py", *sorted((training / "physics").glob("*.py"))]
     if kind not in _FUNCTIONS:
-        files += sorted(Path(softtissue_estimator.__file__).parent.glob("*.py"))
+        files += core_sources()
     return files

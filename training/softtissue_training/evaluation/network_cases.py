@@ -12,10 +12,10 @@ from torch import Tensor, nn
 from softtissue_estimator.bending_organ import NOISE_M, BendingOrgan
 from softtissue_estimator.checkpoint import load_checkpoint
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.elastic_estimator import ElasticEstimator
-from softtissue_estimator.hybrid_checkpoint import load_hybrid_checkpoint
-from softtissue_estimator.hybrid_input import assemble_hybrid_input, hybrid_grid, posterior_cells, remainder
-from softtissue_estimator.hybrid_posterior import make_reader, seen_misfit
+from softtissue_estimator.elastic.estimator import ElasticEstimator
+from softtissue_estimator.hybrid.checkpoint import load_hybrid_checkpoint
+from softtissue_estimator.hybrid.input import assemble_hybrid_input, hybrid_grid, posterior_cells, remainder
+from softtissue_estimator.hybrid.posterior import make_reader, seen_misfit
 from softtissue_estimator.network_input import (
     assemble_input,
     cached_channels,

@@ -16,11 +16,11 @@ import torch
 from torch import Tensor
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.device import choose_device
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
+from softtissue_estimator.inference.device import choose_device
+from softtissue_estimator.inference.precision import PRECISIONS, choose_precision
+from softtissue_estimator.inference.runtime import NetworkRuntime
 from softtissue_estimator.network import UNet, UNetArchitecture
-from softtissue_estimator.network_precision import PRECISIONS, choose_precision
-from softtissue_estimator.network_runtime import NetworkRuntime
 from softtissue_estimator.organ import Organ, load_organ
 from softtissue_estimator.resources import bundled_organ
 from softtissue_training.evaluation.network_cases import NetworkCase, hybrid_case, paper_case

@@ -6,7 +6,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from softtissue_estimator.checkpoint import checkpoint_kind, load_checkpoint, save_checkpoint
-from softtissue_estimator.hybrid_checkpoint import KIND, load_hybrid_checkpoint, save_hybrid_checkpoint
+from softtissue_estimator.hybrid.checkpoint import KIND, load_hybrid_checkpoint, save_hybrid_checkpoint
 
 
 def export(checkpoint: Path, file: Path) -> dict[str, Any]:

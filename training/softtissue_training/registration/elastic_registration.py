@@ -3,7 +3,7 @@
 In turn, every observed point gets the closest point of the organ as it is estimated now, and the organ is estimated
 anew from these pairs (Besl and McKay's idea with an organ that bends). What makes the second step well posed is the
 elastic posterior: sparse loads on a neo-Hookean organ that is held where it is attached (`softtissue_estimator`,
-`elastic_posterior`). A pair says only how far the point is from the organ along the organ's normal (Chen and Medioni
+`elastic.posterior`). A pair says only how far the point is from the organ along the organ's normal (Chen and Medioni
 1992): along the surface nothing was seen, so nothing is claimed, and elasticity decides how far the surface slid. The
 standard deviation that pairs are granted falls from a coarse to the sensor's, so that the first turns, whose pairs are
 wrong, move the organ as a whole.
@@ -22,15 +22,15 @@ from threadpoolctl import ThreadpoolController
 from torch import Tensor
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.device import choose_device
-from softtissue_estimator.elastic_model import ElasticModel, build_model
-from softtissue_estimator.elastic_posterior import mean_displacement, standard_deviation
-from softtissue_estimator.elastic_solver import MODEL_ERROR_SHARE
+from softtissue_estimator.elastic.hyperelastic import Tangent, to_tensor
+from softtissue_estimator.elastic.model import ElasticModel, build_model
+from softtissue_estimator.elastic.posterior import mean_displacement, standard_deviation
+from softtissue_estimator.elastic.relevance import Amplitudes, determine_relevance
+from softtissue_estimator.elastic.solver import MODEL_ERROR_SHARE
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimator import silent
-from softtissue_estimator.hyperelastic import Tangent, to_tensor
+from softtissue_estimator.inference.device import choose_device
 from softtissue_estimator.organ import Organ
-from softtissue_estimator.relevance import Amplitudes, determine_relevance
 from softtissue_estimator.rigid import RigidMotion
 from softtissue_training.registration.rigid_icp import IDENTITY, RigidFit, rigid_icp
 from softtissue_training.registration.surface_pairs import PairLimits, Pairs, SurfaceMatcher, plane_normals

@@ -13,8 +13,8 @@ from typing import Any
 import torch
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.device import choose_device
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.inference.device import choose_device
 from softtissue_estimator.organ import load_organ
 from softtissue_training.evaluation.benchmark.machine import machine
 from softtissue_training.evaluation.network_timing import time_networks, time_reference

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-import softtissue_estimator
 import softtissue_training
 from softtissue_estimator.rigid import RigidMotion
+from softtissue_training.core_sources import core_sources
 from softtissue_training.experiments.breathing.case import BreathingCase
 from softtissue_training.experiments.breathing.surface_tracking import TRACKERS, Progress, Tracked
 
@@ -62,7 +62,7 @@ def _key(case: BreathingCase, motion: RigidMotion) -> str:
     sources = [
         training / "experiments" / "breathing" / "surface_tracking.py",
         *sorted((training / "registration").glob("*.py")),
-        *sorted(Path(softtissue_estimator.__file__).parent.glob("*.py")),
+        *core_sources(),
     ]
     for source in sources:
         content.update(source.read_bytes())

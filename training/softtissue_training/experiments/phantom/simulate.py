@@ -19,6 +19,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from softtissue_estimator.elastic.volume_mesh import VolumeMesh
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
 from softtissue_estimator.mesh import SurfaceMesh, sample_faces, vertex_areas
 from softtissue_estimator.organ import Organ, load_organ
@@ -26,7 +27,6 @@ from softtissue_estimator.organ_file import FILE_NAME, read_organ_file
 from softtissue_estimator.rendering import vertex_normals
 from softtissue_estimator.signed_distance import signed_distance
 from softtissue_estimator.surface_patch import patch
-from softtissue_estimator.volume_mesh import VolumeMesh
 from softtissue_training.experiments.fcsv import write_fcsv
 from softtissue_training.experiments.labelled_points import LabelledPoints
 from softtissue_training.experiments.phantom.case_file import FILE_NAME as CASE_FILE_NAME

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye_array
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.elastic_estimator import ElasticEstimate, ElasticEstimator
+from softtissue_estimator.elastic.estimator import ElasticEstimate, ElasticEstimator
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.hybrid_input import HybridSpec, hybrid_grid, posterior_cells
-from softtissue_estimator.hybrid_posterior import seen_misfit
+from softtissue_estimator.hybrid.input import HybridSpec, hybrid_grid, posterior_cells
+from softtissue_estimator.hybrid.posterior import seen_misfit
 from softtissue_estimator.network_input import channels_on_grid
 from softtissue_estimator.organ import make_organ
 from softtissue_training.learning.hybrid.posterior_record import PosteriorCase

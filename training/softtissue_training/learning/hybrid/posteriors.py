@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import json
 import os
@@ -20,12 +19,12 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-import softtissue_estimator
 from softtissue_estimator.cache import cache_folder
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
-from softtissue_estimator.hybrid_input import HybridSpec
+from softtissue_estimator.hybrid.input import HybridSpec
 from softtissue_estimator.network_input import PREPROCESSING_VERSION
+from softtissue_training.core_sources import imported_sources
 from softtissue_training.learning.hybrid.posterior_case import posterior_case
 from softtissue_training.learning.hybrid.posterior_record import (
     PosteriorCase,
@@ -46,18 +45,8 @@ MESH_CACHE = "tetrahedra-"  # how the estimator's cache names coarse meshes
 _VERSION = 1
 # Imported by the estimator without changing what it answers.
 _WITHOUT_INFLUENCE = frozenset(
-    {"cache", "config", "device", "errors", "estimator", "mesh_io", "organ", "organ_file", "stopwatch"}
-    | {
-        "cell_surface",
-        "cells_worker",
-        "isolated",
-        "msh_files",
-        "obj_files",
-        "organ_checks",
-        "surface_repair",
-        "trimesh_files",
-        "vtk_files",
-    }
+    {"cache", "config", "errors", "estimator", "inference", "mesh_files", "mesh_io"}
+    | {"organ", "organ_checks", "organ_file", "stopwatch", "surface_repair"}
 )
 _ELASTIC = ("poisson_ratio", "poisson_ratio_sigma", "prior_sigma_m", "model_sigma_m", "attachment_length_m")
 _Result = tuple[str, bytes, list[str], int]
@@ -112,25 +101,12 @@ def posterior_settings(recipe: ViewRecipe, spec: HybridSpec) -> dict[str, Any]:
 
 def elastic_code_hash() -> str:
     """Return a hash of the sources that decide what the elastic estimator answers, and how it is read."""
-    folder = Path(softtissue_estimator.__file__).parent
-    waiting, found = ["elastic_estimator", "hybrid_posterior"], set[str]()
-    while waiting:
-        module = waiting.pop()
-        if module not in found | _WITHOUT_INFLUENCE:
-            found.add(module)
-            waiting += _imported(folder / f"{module}.py")
     content = hashlib.sha256()
-    for module in sorted(found):
-        content.update(module.encode() + (folder / f"{module}.py").read_bytes())
+    for module, path in imported_sources(
+        ["elastic.estimator", "hybrid.posterior"], _WITHOUT_INFLUENCE
+    ).items():
+        content.update(module.encode() + path.read_bytes())
     return content.hexdigest()[:16]
-
-
-def _imported(source: Path) -> list[str]:
-    """Names of the estimator's modules that a module imports."""
-    nodes = ast.walk(ast.parse(source.read_text(encoding="utf-8")))
-    modules = [node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module]
-    package = softtissue_estimator.__name__ + "."
-    return [module.removeprefix(package) for module in modules if module.startswith(package)]
 
 
 def make_posteriors(

@@ -9,8 +9,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from softtissue_estimator.elastic.volume_mesh import VolumeMesh
 from softtissue_estimator.grid import VoxelGrid
-from softtissue_estimator.hybrid_input import (
+from softtissue_estimator.hybrid.input import (
     VECTOR_CHANNELS,
     HybridSpec,
     SeenMisfit,
@@ -18,7 +19,6 @@ from softtissue_estimator.hybrid_input import (
     posterior_cells,
 )
 from softtissue_estimator.network_input import OrganChannels
-from softtissue_estimator.volume_mesh import VolumeMesh
 from softtissue_training.learning.hybrid.posterior_record import PosteriorCase
 
 FloatArray = NDArray[np.float64]

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from softtissue_estimator.checkpoint import read_provenance
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.hybrid_checkpoint import save_hybrid_checkpoint
+from softtissue_estimator.hybrid.checkpoint import save_hybrid_checkpoint
 from softtissue_training.learning.distributed import Ranks
 from softtissue_training.learning.hybrid.batches import HybridBatch, HybridBatchSource
 from softtissue_training.learning.hybrid.config import HybridConfig

@@ -1,0 +1,1 @@
+"""Where and in what format estimators compute: devices, precision, prepared networks."""

@@ -1,0 +1,1 @@
+"""Cells of mesh files, format by format; `mesh_io` chooses."""
