@@ -1,9 +1,10 @@
-"""A scene for tests of speed: tracked points of an organ of which one end swings up and down."""
+"""A scene for tests of speed: tracked points of an organ that swings up and down where nothing holds it."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.organ import Organ
@@ -15,11 +16,11 @@ _VISIBLE_SHARE = 0.4  # of the triangles
 
 
 class BendingOrgan:
-    """Observations of an organ of which one end swings up and down.
+    """Observations of an organ that swings up and down, with the square of the distance from where it is attached.
 
     Seen are points drawn from the 40 % of its triangles that lie highest; every component has noise of 0.5 mm. The
-    motion is prescribed and no solution of elasticity: it takes an estimator as long as a real one, its error says
-    nothing.
+    motion is prescribed and no solution of elasticity, but one that tissue can follow: it takes an estimator as long as
+    a real one, its error says nothing. An organ that is attached nowhere swings about one end.
 
     Parameters
     ----------
@@ -29,7 +30,7 @@ class BendingOrgan:
     rng : Generator
         Draws points and noise.
     amplitude_m, period_s : float
-        Largest displacement of the free end, m, and the time from rest to rest, s. By default a liver's breathing.
+        Largest displacement of a seen point, m, and the time from rest to rest, s. By default a liver's breathing.
 
     Raises
     ------
@@ -52,14 +53,18 @@ class BendingOrgan:
             )
         surface = organ.surface
         extent = np.ptp(surface.vertices, axis=0)
-        self._along, self._up = int(extent.argmax()), int(extent.argmin())
+        self._up = int(extent.argmin())
         height = surface.triangles[:, :, self._up].mean(axis=1)
         seen = np.flatnonzero(height >= np.quantile(height, 1.0 - _VISIBLE_SHARE))
         weights = rng.dirichlet(np.ones(3), size=count)
         corners = surface.triangles[rng.choice(seen, size=count)]
         self.reference: FloatArray = np.einsum("nc,ncd->nd", weights, corners)
-        along = self.reference[:, self._along]
-        self._lever = ((along - along.min()) / max(float(np.ptp(along)), 1e-9)) ** 2
+        if organ.attached.any():
+            far = np.asarray(cKDTree(surface.vertices[organ.attached]).query(self.reference)[0])
+        else:
+            along = self.reference[:, int(extent.argmax())]
+            far = along - along.min()
+        self._lever: FloatArray = (far / max(float(far.max()), 1e-9)) ** 2
         self._rng = rng
         self._amplitude_m, self._period_s = amplitude_m, period_s
 
