@@ -1,23 +1,14 @@
-"""Shapes that the tests of the core share. Caches go to a folder of the test run, never to the user's."""
-
-import os
-from pathlib import Path
+"""What the tests of the core share."""
 
 import pytest
 
-
-@pytest.fixture(autouse=True, scope="session")
-def _own_cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
+from estimator.organ_folders import LIVER, TUMOUR, VEIN, export
 
 
-@pytest.fixture(scope="session")
-def test_data() -> Path:
-    """Folder with organs and clouds that others recorded; the test is skipped without it."""
-    default = Path(__file__).parents[3] / "shared" / "data"
-    folder = Path(os.environ.get("SOFTTISSUE_TEST_DATA", default))
-    if not folder.is_dir():
-        pytest.skip(f"no test data in {folder} (set SOFTTISSUE_TEST_DATA)")
-    return folder
+@pytest.fixture
+def folder(tmp_path):
+    """Folder with the meshes of an organ, for `organ_folders.describe` to describe."""
+    export(LIVER, tmp_path / "liver.ply")
+    export(TUMOUR, tmp_path / "tumour.ply")
+    export(VEIN, tmp_path / "vein.ply")
+    return tmp_path
