@@ -7,6 +7,10 @@ import platform
 from pathlib import Path
 from typing import Any
 
+import psutil
+
+_LOOK_S = 1.0
+
 
 def machine() -> dict[str, Any]:
     """Return the processor's name, the cores that this process may use, and the operating system."""
@@ -16,6 +20,11 @@ def machine() -> dict[str, Any]:
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
     }
+
+
+def busy_cores() -> float:
+    """Return how many cores programs keep busy, over the next second; 0 is an idle machine."""
+    return float(psutil.cpu_percent(interval=_LOOK_S)) / 100.0 * (os.cpu_count() or 1)
 
 
 def _processor() -> str:

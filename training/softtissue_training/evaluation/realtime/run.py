@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +15,7 @@ from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.inference.device import choose_device
 from softtissue_estimator.organ import load_organ
-from softtissue_training.evaluation.benchmark.machine import machine
+from softtissue_training.evaluation.benchmark.machine import busy_cores, machine
 from softtissue_training.evaluation.network_timing import time_networks, time_reference
 from softtissue_training.evaluation.realtime.finite_elements import time_finite_elements
 from softtissue_training.evaluation.realtime.latency_tool import find_latency_tool, run_latency_tool
@@ -52,8 +51,7 @@ def run_realtime(plan: RealtimePlan, folder: Path, progress: Progress) -> dict[s
     if plan.device == "cuda" and not torch.cuda.is_available():
         raise InvalidInputError("device cuda: expected an NVIDIA GPU on this machine, got none")
     find_latency_tool()
-    # Of the last minute: what else the machine was doing.
-    load = os.getloadavg()[0]
+    load = busy_cores()
     if load > _BUSY:
         progress(f"other programs keep {load:.1f} cores busy: every figure will be worse than it should be")
     organs = {count: folder / f"organ_{count}" for count in plan.vertices}
