@@ -67,10 +67,10 @@ setup(
     entry_points={
         "console_scripts": [
             f"node = {NAME}.ros.node:main",
-            f"replay = {NAME}.ros.replay:main",
-            f"score = {NAME}.ros.score:main",
-            f"demo = {NAME}.ros.demo:main",
-            f"latency = {NAME}.ros.latency.main:main",
+            f"replay = {NAME}.ros.tools.replay:main",
+            f"score = {NAME}.ros.tools.score:main",
+            f"demo = {NAME}.ros.tools.demo:main",
+            f"latency = {NAME}.ros.tools.latency.main:main",
             f"check_organ = {NAME}.check_organ:main",
         ],
     },

@@ -14,7 +14,7 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 
 from integration.harness import executable, new_domain
 
-DEMO = [sys.executable, "-m", "softtissue_estimator.ros.demo"]
+DEMO = [sys.executable, "-m", "softtissue_estimator.ros.tools.demo"]
 
 
 def environment():

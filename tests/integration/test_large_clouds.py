@@ -100,8 +100,8 @@ def test_recorded_cloud_is_read_with_its_padding():
     from rclpy.serialization import deserialize_message
     from sensor_msgs.msg import PointCloud2
 
-    from softtissue_estimator.ros.bag import Bag
     from softtissue_estimator.ros.conversions import read_cloud
+    from softtissue_estimator.ros.tools.bag import Bag
 
     with Bag(bag) as opened:
         message = deserialize_message(next(opened.messages())[2], PointCloud2)

@@ -19,10 +19,10 @@ from sensor_msgs.msg import PointCloud2
 from integration.harness import executable, new_domain, write_organ
 from softtissue_estimator.organ import load_organ
 from softtissue_estimator.ros.conversions import read_cloud
-from softtissue_estimator.ros.latency.clouds import moving_clouds
-from softtissue_estimator.ros.latency.message_paths import ring_alone, time_answer, time_cloud
-from softtissue_estimator.ros.latency.statistics import Run, ages_ms, latencies_ms, quantiles, summarise
-from softtissue_estimator.ros.latency.usage import cpu_share, gpu_memory_mb, usage_of
+from softtissue_estimator.ros.tools.latency.clouds import moving_clouds
+from softtissue_estimator.ros.tools.latency.message_paths import ring_alone, time_answer, time_cloud
+from softtissue_estimator.ros.tools.latency.statistics import Run, ages_ms, latencies_ms, quantiles, summarise
+from softtissue_estimator.ros.tools.latency.usage import cpu_share, gpu_memory_mb, usage_of
 from softtissue_training.evaluation.realtime.plan import RealtimePlan
 from softtissue_training.evaluation.realtime.report import bench_summary, markdown
 from softtissue_training.evaluation.realtime.run import run_realtime

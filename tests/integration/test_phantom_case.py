@@ -17,7 +17,7 @@ from softtissue_training.experiments.phantom.case_bag import write_case_bag
 from softtissue_training.experiments.phantom.experiment import content_of, run_phantom
 from training.phantom_cases import write_case
 
-DEMO = [sys.executable, "-m", "softtissue_estimator.ros.demo"]
+DEMO = [sys.executable, "-m", "softtissue_estimator.ros.tools.demo"]
 
 
 @pytest.mark.timeout(300)

@@ -123,7 +123,7 @@ def test_sixty_clouds_a_second(folder, tmp_path):
         client.status_of(stream.sent[-1], timeout=20.0)
         client.spin(0.5)
         assert "Traceback" not in node.text
-    status = max(client.statuses, key=lambda s: s.frames_received)
+    status = client.statuses[-1]  # the one before may have been told of the last cloud already, too
     assert len(stream.sent) >= 0.9 * SOAK_S * RATE_HZ
     assert set(latency) <= set(stream.sent)
     assert status.frames_received == len(stream.sent), "none lost on the way"

@@ -55,13 +55,13 @@ class Replay:
     Parameters
     ----------
     node : rclpy.node.Node
-    bag : softtissue_estimator.ros.bag.Bag
+    bag : softtissue_estimator.ros.tools.bag.Bag
     options : argparse.Namespace
     stop : StopRequest
     """
 
     def __init__(self, node: Any, bag: Any, options: argparse.Namespace, stop: StopRequest) -> None:
-        from softtissue_estimator.ros.bag import begins_with_header, message_type, qos_of
+        from softtissue_estimator.ros.tools.bag import begins_with_header, message_type, qos_of
 
         self._node, self._bag, self._options, self._stop = node, bag, options, stop
         self._publishers: dict[int, Any] = {}
@@ -148,7 +148,7 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
     """Replay; return the exit code."""
     import rclpy
 
-    from softtissue_estimator.ros.bag import Bag
+    from softtissue_estimator.ros.tools.bag import Bag
 
     with Bag(options.bag) as bag:
         node = rclpy.create_node("replay")

@@ -4,8 +4,8 @@ import argparse
 import time
 from typing import Any
 
-from softtissue_estimator.ros.latency.control import Handler, serve_in_thread
 from softtissue_estimator.ros.runtime import Spinner, StopRequest, limit_threads, run_tool
+from softtissue_estimator.ros.tools.latency.control import Handler, serve_in_thread
 
 # Enough for a pause of this process: what it loses would be charged to the node.
 QUEUE = 100

@@ -8,8 +8,8 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-from softtissue_estimator.ros.latency.control import Handler, serve_in_thread
 from softtissue_estimator.ros.runtime import StopRequest, limit_threads, run_tool
+from softtissue_estimator.ros.tools.latency.control import Handler, serve_in_thread
 
 # A cloud that is later than this does not make the ones after it come in a burst.
 PATIENCE_S = 0.5
@@ -56,7 +56,7 @@ class Sender:
         self, points: int, rate_hz: float, amplitude_m: float, period_s: float, seed: int
     ) -> dict[str, Any]:
         """Make the clouds of one period."""
-        from softtissue_estimator.ros.latency.clouds import moving_clouds
+        from softtissue_estimator.ros.tools.latency.clouds import moving_clouds
 
         self._clouds = []
         self._clouds.extend(moving_clouds(self._organ, points, rate_hz, amplitude_m, period_s, seed))

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from softtissue_estimator.ros import scoring
+from softtissue_estimator.ros.tools import scoring
 
 
 def test_score_counts_and_measures():

@@ -14,11 +14,11 @@ from typing import Any
 from softtissue_estimator.cache import cache_folder
 from softtissue_estimator.errors import SoftTissueError
 from softtissue_estimator.organ import Organ, load_organ
-from softtissue_estimator.ros.latency.control import Remote
-from softtissue_estimator.ros.latency.probe import Probe
-from softtissue_estimator.ros.latency.statistics import Run, summarise
-from softtissue_estimator.ros.latency.usage import cpu_share, gpu_memory_mb, usage_of
-from softtissue_estimator.ros.processes import executable, process, relay
+from softtissue_estimator.ros.tools.latency.control import Remote
+from softtissue_estimator.ros.tools.latency.probe import Probe
+from softtissue_estimator.ros.tools.latency.statistics import Run, summarise
+from softtissue_estimator.ros.tools.latency.usage import cpu_share, gpu_memory_mb, usage_of
+from softtissue_estimator.ros.tools.processes import executable, process, relay
 
 NAMESPACE = "/latency"
 NAME = "softtissue_estimator"
@@ -146,7 +146,7 @@ class Session:
         from rclpy.qos import QoSProfile
         from visualization_msgs.msg import MarkerArray
 
-        from softtissue_estimator.ros.latency import message_paths
+        from softtissue_estimator.ros.tools.latency import message_paths
 
         publisher = self._ros_node.create_publisher(MarkerArray, f"{NAME}/markers", QoSProfile(depth=10))
         self._receiver.ask("begin", markers=True)

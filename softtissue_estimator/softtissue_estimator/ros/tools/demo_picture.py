@@ -11,11 +11,11 @@ from rclpy.serialization import deserialize_message
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.organ import load_organ
 from softtissue_estimator.picture import Markers, Scene, draw_phantom
-from softtissue_estimator.ros.bag import Bag, message_type
 from softtissue_estimator.ros.conversions import Cloud, read_cloud
 from softtissue_estimator.ros.conversions import stamp_ns as nanoseconds
 from softtissue_estimator.ros.correspondences import read_correspondences
 from softtissue_estimator.ros.registration import Registration, transform_points
+from softtissue_estimator.ros.tools.bag import Bag, message_type
 
 FloatArray = NDArray[np.float64]
 

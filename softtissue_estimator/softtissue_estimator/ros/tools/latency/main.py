@@ -64,7 +64,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
 
 def combinations(options: argparse.Namespace) -> list[Any]:
     """List the runs: the grid of points and rates, then those with markers and with services."""
-    from softtissue_estimator.ros.latency.session import Combination
+    from softtissue_estimator.ros.tools.latency.session import Combination
 
     runs = [Combination(p, r, options.seconds) for p, r in product(options.points, options.rates)]
     middle = statistics.median_low(options.points), statistics.median_low(options.rates)
@@ -79,7 +79,7 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
     """Measure and print; return the exit code."""
     import rclpy
 
-    from softtissue_estimator.ros.latency.session import NAMESPACE, Interrupted
+    from softtissue_estimator.ros.tools.latency.session import NAMESPACE, Interrupted
 
     node = rclpy.create_node("latency", namespace=NAMESPACE)
     spinner = Spinner(node, lambda error: stop.stop(1))
@@ -106,7 +106,7 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
 def measure(node: Any, options: argparse.Namespace, stop: StopRequest, folder: Path) -> dict[str, Any]:
     """Start everything, measure every run, print a line each; return all figures."""
     from softtissue_estimator.resources import bundled_organ
-    from softtissue_estimator.ros.latency.session import Scene, open_session
+    from softtissue_estimator.ros.tools.latency.session import Scene, open_session
 
     path = (options.organ or bundled_organ()).absolute()
     scene = Scene(1e-3 * options.amplitude, options.period, options.seed)

@@ -13,10 +13,10 @@ from softtissue_estimator.mesh import SurfaceMesh
 from softtissue_estimator.organ import Organ, Structure, make_organ
 from softtissue_estimator.ros.answer_buffer import AnswerBuffer
 from softtissue_estimator.ros.conversions import Cloud, read_cloud
-from softtissue_estimator.ros.latency import naive
-from softtissue_estimator.ros.latency.clouds import moving_clouds
-from softtissue_estimator.ros.latency.statistics import quantiles
 from softtissue_estimator.ros.markers import MarkerBuffer
+from softtissue_estimator.ros.tools.latency import naive
+from softtissue_estimator.ros.tools.latency.clouds import moving_clouds
+from softtissue_estimator.ros.tools.latency.statistics import quantiles
 
 FloatArray = NDArray[np.float64]
 

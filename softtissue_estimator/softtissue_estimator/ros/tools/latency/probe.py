@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from softtissue_estimator.ros.latency.statistics import quantiles
+from softtissue_estimator.ros.tools.latency.statistics import quantiles
 
 PERIOD_S = 0.1
 TIMEOUT_S = 5.0

@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from softtissue_estimator.ros.processes import process
+from softtissue_estimator.ros.tools.processes import process
 
 SLEEPER = [sys.executable, "-c", "import time; time.sleep(60)"]
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.ros.runtime import Spinner, StopRequest, run_tool
-from softtissue_estimator.ros.scoring import Record, failures, make_report, table
+from softtissue_estimator.ros.tools.scoring import Record, failures, make_report, table
 
 FloatArray = NDArray[np.float64]
 
