@@ -1,6 +1,7 @@
 """Dependencies point one way: training -> core <- ros -> messages, and the core needs no ROS."""
 
 import ast
+import re
 import subprocess
 import sys
 import tomllib
@@ -114,3 +115,12 @@ for name in {names!r}:
 """
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
+
+
+def test_documents_name_files_that_exist():
+    named = r"\b(?:tests|training|softtissue_estimator)/[\w/]+\.py\b"
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    found = {name for page in pages for name in re.findall(named, page.read_text(encoding="utf-8"))}
+    places = (ROOT, ROOT / "softtissue_estimator")
+    assert len(found) > 10
+    assert [name for name in sorted(found) if not any((place / name).is_file() for place in places)] == []
