@@ -29,6 +29,10 @@ FIRST_MODEL_SIGMA_M = 0.002
 MOST_MODEL_SIGMA_M = 0.003
 _RIGID_MODEL_SIGMA_M = 0.1
 """Where the model is granted so much, hardly more than the rigid motion is left of the answer."""
+_MOST_DOUBT_M = 0.01
+"""Where an answer tears the organ even if the model is granted so much, something else than a close fit may tear it."""
+_FLUNG = 2.0
+"""Times what is seen to move: no load moves what is hidden farther."""
 # Neighbouring patches share the error of the model, so that many of them tell hardly more than one: the error that a
 # patch is granted on its own is this much larger.
 MODEL_SIGMA_OVER_MISFIT = 5.0
@@ -233,13 +237,23 @@ class Solver:
         return np.asarray(variance.sqrt().cpu().numpy(), dtype=np.float64)
 
     def _untorn(self, explain: Callable[[float], Belief], sigma: float) -> Belief:
-        """Explain with the least error of the model from `sigma` on that leaves the organ whole."""
-        belief = explain(sigma)
+        """Explain with the least error of the model from `sigma` on that leaves the organ whole.
+
+        Where none does and the closest explanation moves nothing much farther than is seen, the organ is deformed so
+        much that elements seem torn: a larger error would only leave more unexplained.
+        """
+        closest = belief = explain(sigma)
         # Only loads that tear the organ explain what is seen so closely: the model is further off than it seems.
         while sigma < _RIGID_MODEL_SIGMA_M and self._model.body.is_torn(belief.mean):
+            if sigma > _MOST_DOUBT_M and not self._is_flung(closest.mean):
+                return closest
             sigma *= 2.0
             belief = explain(sigma)
         return belief
+
+    def _is_flung(self, displacement: Tensor) -> bool:
+        farthest = float(torch.linalg.vector_norm(displacement, dim=1).max())
+        return farthest > _FLUNG * float(np.linalg.norm(self._seen.displacement, axis=1).max())
 
     def _explain(
         self,

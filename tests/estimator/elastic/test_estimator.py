@@ -9,6 +9,7 @@ from estimator.pushed_organ import pushed
 from estimator.shapes import ellipsoid, organ_of, rotation
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.elastic.estimator import ElasticEstimator
+from softtissue_estimator.elastic.hyperelastic import HyperelasticBody
 from softtissue_estimator.elastic.solver import LEAST_DEVIATION_M
 from softtissue_estimator.elastic.volume_mesh import VolumeMesh
 from softtissue_estimator.errors import InvalidInputError
@@ -140,6 +141,17 @@ def test_what_no_organ_can_follow_does_not_pull_the_hidden_part_along(held, size
 
     displacement = held.estimate(seen_of(SURFACE, waves)).displacement
     assert np.linalg.norm(displacement, axis=1).max() < 0.06
+
+
+def test_elements_that_seem_torn_whatever_is_granted_leave_the_closest_explanation(
+    truth, estimator, monkeypatch
+):
+    """As in an organ that is pushed so hard that it is stretched several times somewhere."""
+    observation = truth.observe(0.0)
+    expected = truth.error(estimator.estimate(observation).displacement_at(truth.points)[0])
+    monkeypatch.setattr(HyperelasticBody, "is_torn", lambda *_: True)
+    found = truth.error(estimator.estimate(observation).displacement_at(truth.points)[0])
+    assert found < 2.0 * expected
 
 
 def test_noise_of_two_millimetres_is_averaged_out(truth, estimator):
