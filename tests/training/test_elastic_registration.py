@@ -16,13 +16,6 @@ from training.phantom_cases import MARKERS_M, bend, ellipsoid, seen_points
 QUICK = ElasticRegistrationSettings(falling_turns=6, last_turns=2)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _own_cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 @pytest.fixture(scope="module")
 def organ():
     """The ellipsoid, held at its end on the side of minus x."""

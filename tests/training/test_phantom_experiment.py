@@ -30,9 +30,8 @@ from training.phantom_cases import MARKERS_M, bend, seen_points, write_case
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _own_cache(tmp_path_factory):
+def _small_pictures():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         patch.setattr(picture, "_PANEL", (200, 280))  # drawn in a twentieth of the time
         yield
 

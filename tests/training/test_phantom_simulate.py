@@ -31,9 +31,8 @@ COARSE = PushSettings(element_size_m=0.018, largest_m=0.02, visible_share=0.3)
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _own_cache(tmp_path_factory):
+def _small_pictures():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         patch.setattr(picture, "_PANEL", (200, 280))
         yield
 

@@ -32,7 +32,7 @@ _RIGID_MODEL_SIGMA_M = 0.1
 _MOST_DOUBT_M = 0.01
 """Where an answer tears the organ even if the model is granted so much, something else than a close fit may tear it."""
 _FLUNG = 2.0
-"""Times what is seen to move: no load moves what is hidden farther."""
+"""Times what is seen to move; an explanation that tears the organ and moves anything farther is not believed."""
 # Neighbouring patches share the error of the model, so that many of them tell hardly more than one: the error that a
 # patch is granted on its own is this much larger.
 MODEL_SIGMA_OVER_MISFIT = 5.0
