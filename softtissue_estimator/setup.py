@@ -71,7 +71,7 @@ setup(
             f"score = {NAME}.ros.tools.score:main",
             f"demo = {NAME}.ros.tools.demo:main",
             f"latency = {NAME}.ros.tools.latency.main:main",
-            f"check_organ = {NAME}.check_organ:main",
+            f"check_organ = {NAME}.organ.check_organ:main",
         ],
     },
 )

@@ -12,20 +12,28 @@ import pytest
 ROOT = Path(__file__).parents[1]
 CORE = ROOT / "softtissue_estimator" / "softtissue_estimator"
 TRAINING = ROOT / "training" / "softtissue_training"
-BANNED = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["ruff"]["lint"][
-    "flake8-tidy-imports"
-]["banned-api"]
-ROS_PACKAGES = {*BANNED, "rosidl_parser", "tf2_geometry_msgs"}
-CORE_MODULES = sorted(path for path in CORE.rglob("*.py") if "ros" not in path.relative_to(CORE).parts)
+SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
+FLOORS = [set(rooms) for rooms in SETTINGS["softtissue"]["floors"]]
+ROOMS = set().union(*FLOORS)
+ROS_PACKAGES = {
+    *SETTINGS["ruff"]["lint"]["flake8-tidy-imports"]["banned-api"],
+    "rosidl_parser",
+    "tf2_geometry_msgs",
+}
+MODULES = {
+    ".".join(path.relative_to(CORE).with_suffix("").parts).removesuffix(".__init__"): path
+    for path in sorted(CORE.rglob("*.py"))
+    if path != CORE / "__init__.py"
+}
+CORE_MODULES = [
+    CORE / "__init__.py",
+    *(path for name, path in MODULES.items() if name.partition(".")[0] != "ros"),
+]
 
-PACKAGES = {path.parent.name for path in CORE.glob("*/__init__.py")} - {"ros"}
-SHARED = {path.stem for path in CORE.glob("*.py")}
 
-
-def core_imports(paths: list[Path]) -> set[str]:
-    """First names, within the core, of all of it that files import."""
-    names = {name for path in paths for name in imports(path) if name.startswith("softtissue_estimator.")}
-    return {name.split(".")[1] for name in names}
+def room_of(module: str) -> str:
+    """Room, of the table in pyproject.toml, in which a module of the package lies; the smallest one."""
+    return max((room for room in ROOMS if f"{module}.".startswith(f"{room}.")), key=len, default="no room")
 
 
 def imports(path: Path) -> set[str]:
@@ -57,27 +65,29 @@ def test_core_imports_neither_ros_nor_training():
     assert offending(CORE_MODULES, ROS_PACKAGES | {"softtissue_estimator.ros", "softtissue_training"}) == []
 
 
-@pytest.mark.parametrize(
-    ("folder", "others"),
-    [
-        ("mesh_files", {"mesh_files", "errors", "mesh"}),
-        ("inference", {"inference", "errors", "stopwatch"}),
-        ("elastic", {"elastic", "inference"} | SHARED),
-        ("hybrid", {"hybrid", "elastic", "inference"} | SHARED),
-    ],
-)
-def test_packages_of_the_core_import_in_one_direction(folder, others):
-    modules = sorted((CORE / folder).glob("*.py"))
-    assert len(modules) > 3
-    assert core_imports(modules) <= others
+@pytest.mark.parametrize("module", sorted(MODULES))
+def test_rooms_import_only_from_floors_below(module):
+    room = room_of(module)
+    number = next(number for number, rooms in enumerate(FLOORS) if room in rooms)
+    allowed = {room}.union(*FLOORS[:number])
+    prefix = f"{CORE.name}."
+    imported = {name.removeprefix(prefix) for name in imports(MODULES[module]) if name.startswith(prefix)}
+    assert {name: room_of(name) for name in imported if room_of(name) not in allowed} == {}
 
 
-def test_only_the_entries_of_packages_are_imported_by_what_is_shared():
-    entries = {"mesh_io": "mesh_files", "check_organ": "elastic", "paper_estimator": "inference"}
-    found = {path.stem: core_imports([path]) & PACKAGES for path in sorted(CORE.glob("*.py"))}
-    assert {name: packages for name, packages in found.items() if packages} == {
-        name: {package} for name, package in entries.items()
+def test_every_room_exists_and_the_root_holds_nothing_else():
+    entries = {path.name for path in CORE.iterdir()} - {"__pycache__", "py.typed"}
+    assert {path for path in entries if path.endswith(".py")} == {"__init__.py", "config.py", "errors.py"}
+    assert entries == {"__init__.py", "config.py", "errors.py"} | {
+        room.partition(".")[0] for room in ROOMS - {"config", "errors"}
     }
+    assert {room for room in ROOMS if room not in MODULES} == set()
+
+
+def test_no_module_is_long():
+    sources = [*CORE.rglob("*.py"), *TRAINING.rglob("*.py")]
+    lines = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in sources}
+    assert {str(path.relative_to(ROOT)): number for path, number in lines.items() if number > 300} == {}
 
 
 def test_ros_side_does_not_import_training():

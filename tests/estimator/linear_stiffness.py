@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 
-from softtissue_estimator.elastic.elasticity import lame_constants, shape_gradients
-from softtissue_estimator.elastic.volume_mesh import VolumeMesh
-from softtissue_estimator.mesh import FloatArray
+from softtissue_estimator.estimators.elastic.elasticity import lame_constants, shape_gradients
+from softtissue_estimator.organ.mesh import FloatArray
+from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
 
 def stiffness(mesh: VolumeMesh, poisson_ratio: float, youngs_modulus_pa: float = 1.0) -> csr_array:

@@ -6,8 +6,8 @@ import trimesh
 
 from estimator.shapes import box_tets, ellipsoid
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.mesh import enclosed_volume
-from softtissue_estimator.mesh_io import read_mesh
+from softtissue_estimator.organ.mesh import enclosed_volume
+from softtissue_estimator.organ.mesh_io import read_mesh
 
 MM = 1e-3
 

@@ -3,10 +3,10 @@
 import numpy as np
 import torch
 
-from softtissue_estimator.elastic.hyperelastic import HyperelasticBody
-from softtissue_estimator.elastic.loads import load_basis
-from softtissue_estimator.elastic.volume_mesh import VolumeMesh
-from softtissue_estimator.mesh import FloatArray
+from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody
+from softtissue_estimator.estimators.elastic.loads import load_basis
+from softtissue_estimator.organ.mesh import FloatArray
+from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
 
 def pushed(mesh: VolumeMesh, ratio: float) -> FloatArray:

@@ -5,9 +5,9 @@ import itertools
 import numpy as np
 import trimesh
 
-from softtissue_estimator.elastic.volume_mesh import VolumeMesh, clean_tets
-from softtissue_estimator.mesh import SurfaceMesh
-from softtissue_estimator.organ import Organ, make_organ
+from softtissue_estimator.organ.mesh import SurfaceMesh
+from softtissue_estimator.organ.organ import Organ, make_organ
+from softtissue_estimator.organ.volume_mesh import VolumeMesh, clean_tets
 
 
 def sphere(radius: float = 0.05, centre=(0.0, 0.0, 0.0), subdivisions: int = 4) -> SurfaceMesh:

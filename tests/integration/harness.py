@@ -25,8 +25,8 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 from softtissue_msgs.msg import Correspondences, EstimatorStatus
 
-from softtissue_estimator.organ import load_organ
-from softtissue_estimator.ros.transport import use_profile
+from softtissue_estimator.organ.organ import load_organ
+from softtissue_estimator.ros.inputs.transport import use_profile
 
 # `make demo` and `make test` themselves run in 1 to 100.
 DOMAINS = range(101, 201)

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from softtissue_estimator.estimator import Estimate, Estimator, register_estimator, silent
+from softtissue_estimator.estimators.estimator import Estimate, Estimator, register_estimator, silent
 from softtissue_estimator.ros.node import main
 
 ESTIMATE_S = float(os.environ.get("SLOW_ESTIMATE_S", "1.0"))

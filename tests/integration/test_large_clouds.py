@@ -16,7 +16,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
 from integration.harness import Client, NodeProcess, Scene, executable, nanoseconds, new_domain, write_organ
-from softtissue_estimator.ros.watchdog import TRANSPORT_HINT
+from softtissue_estimator.ros.inputs.watchdog import TRANSPORT_HINT
 
 SOAK_S = float(os.environ.get("SOFTTISSUE_SOAK_S", "10"))
 RATE_HZ = 10.0
@@ -100,7 +100,7 @@ def test_recorded_cloud_is_read_with_its_padding():
     from rclpy.serialization import deserialize_message
     from sensor_msgs.msg import PointCloud2
 
-    from softtissue_estimator.ros.conversions import read_cloud
+    from softtissue_estimator.ros.inputs.conversions import read_cloud
     from softtissue_estimator.ros.tools.bag import Bag
 
     with Bag(bag) as opened:

@@ -17,8 +17,8 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
 from integration.harness import executable, new_domain, write_organ
-from softtissue_estimator.organ import load_organ
-from softtissue_estimator.ros.conversions import read_cloud
+from softtissue_estimator.organ.organ import load_organ
+from softtissue_estimator.ros.inputs.conversions import read_cloud
 from softtissue_estimator.ros.tools.latency.clouds import moving_clouds
 from softtissue_estimator.ros.tools.latency.message_paths import ring_alone, time_answer, time_cloud
 from softtissue_estimator.ros.tools.latency.statistics import Run, ages_ms, latencies_ms, quantiles, summarise

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softtissue_estimator.checkpoint import load_checkpoint
+from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
 
 ROOT = Path(__file__).parents[2]
 BLOCKS = re.findall(
@@ -82,8 +82,8 @@ def test_node_answers_with_the_trained_weights(followed, tmp_path):
         write_organ,
     )
     from softtissue_estimator.config import EstimatorConfig
-    from softtissue_estimator.estimator import create_estimator
-    from softtissue_estimator.observation import make_observation
+    from softtissue_estimator.estimators.estimator import create_estimator
+    from softtissue_estimator.observation.observation import make_observation
 
     folder, _ = followed
     [line] = [line for line in COMMANDS if line.startswith(NODE)]

@@ -15,13 +15,13 @@ import trimesh
 
 from integration.harness import Scene, write_organ
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.mesh import SurfaceMesh
-from softtissue_estimator.observation import make_observation
-from softtissue_estimator.ros.answer_buffer import AnswerBuffer
-from softtissue_estimator.ros.conversions import read_cloud
+from softtissue_estimator.observation.observation import make_observation
+from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_estimator.ros.frames import Frame, tracked_points
-from softtissue_estimator.ros.markers import MarkerBuffer
-from softtissue_estimator.ros.registration import transform_points
+from softtissue_estimator.ros.inputs.conversions import read_cloud
+from softtissue_estimator.ros.inputs.registration import transform_points
+from softtissue_estimator.ros.outputs.answer_buffer import AnswerBuffer
+from softtissue_estimator.ros.outputs.markers import MarkerBuffer
 
 
 def executed(work):

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from softtissue_estimator.ros.counters import FrameCounters
+from softtissue_estimator.ros.inputs.counters import FrameCounters
 from softtissue_estimator.ros.pipeline import Pipeline
 
 PATIENCE_S = 10.0

@@ -3,9 +3,9 @@
 import numpy as np
 import torch
 
-from softtissue_estimator.elastic.volume_mesh import VolumeMesh, clean_tets
-from softtissue_estimator.grid import VoxelGrid
-from softtissue_estimator.hybrid.input import HybridSpec, posterior_cells
+from softtissue_estimator.estimators.hybrid.input import HybridSpec, posterior_cells
+from softtissue_estimator.estimators.paper.grid import VoxelGrid
+from softtissue_estimator.organ.volume_mesh import VolumeMesh, clean_tets
 from softtissue_training.learning.hybrid.posterior_record import PosteriorCase, PosteriorRecord
 
 SETTINGS = {"version": 1, "recipe": {}, "elastic": {}, "code": "formulae"}

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 import yaml
 
-from softtissue_estimator.mesh import SurfaceMesh
+from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_training.experiments.fcsv import write_fcsv
 from softtissue_training.experiments.labelled_points import LabelledPoints
 from softtissue_training.experiments.markups_json import write_markups_json

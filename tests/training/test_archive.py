@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import enclosed_volume
+from softtissue_estimator.organ.mesh import enclosed_volume
 from softtissue_training.organs.tetrahedralise import signed_volumes
 from softtissue_training.simulation.archive import (
     digest,

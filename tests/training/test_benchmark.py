@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh_io import read_mesh
-from softtissue_estimator.organ_file import read_organ_file
-from softtissue_estimator.resources import bundled_organ
+from softtissue_estimator.organ.mesh_io import read_mesh
+from softtissue_estimator.organ.organ_file import read_organ_file
+from softtissue_estimator.support.resources import bundled_organ
 from softtissue_training.cli import main
 from softtissue_training.errors import SolverDivergedError
 from softtissue_training.evaluation import figures, methods

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh, vertex_areas
+from softtissue_estimator.organ.mesh import SurfaceMesh, vertex_areas
 from softtissue_training.evaluation.benchmark.cases import seen_organs
 from softtissue_training.evaluation.benchmark.plan import RANDOM_SEED, DataSet, View, base_of, make_plan
 from softtissue_training.evaluation.observe import (

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh
+from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_training.cli import main
 from softtissue_training.evaluation.benchmark.plan import NamedSurface, make_plan
 from softtissue_training.organs.tetrahedralise import tetrahedralise

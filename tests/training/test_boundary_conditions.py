@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from softtissue_estimator.mesh import SurfaceMesh, face_areas, vertex_areas
+from softtissue_estimator.organ.mesh import SurfaceMesh, face_areas, vertex_areas
 from softtissue_training.errors import RejectedSampleError
 from softtissue_training.organs.surface_patch import (
     grow_patch,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from softtissue_estimator.checkpoint import load_checkpoint
+from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
 from softtissue_training.learning.batch_source import fixed_view
 from softtissue_training.learning.box import crop, own_box
 from softtissue_training.learning.dataset import voxelise

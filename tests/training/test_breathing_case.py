@@ -8,7 +8,7 @@ import trimesh
 import yaml
 
 from softtissue_estimator.errors import SoftTissueError
-from softtissue_estimator.signed_distance import signed_distance
+from softtissue_estimator.organ.signed_distance import signed_distance
 from softtissue_training.cli import main
 from softtissue_training.experiments.breathing.case import bundled_case, load_case
 

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from softtissue_estimator.rigid import RigidMotion
+from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_training.cli import main
 from softtissue_training.evaluation.methods import register_method
 from softtissue_training.experiments.breathing.case import load_case

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh, enclosed_volume
-from softtissue_estimator.signed_distance import signed_distance
+from softtissue_estimator.organ.mesh import SurfaceMesh, enclosed_volume
+from softtissue_estimator.organ.signed_distance import signed_distance
 from softtissue_training.experiments.breathing.case import load_case
 from softtissue_training.experiments.breathing_liver import __main__ as command
 from softtissue_training.experiments.breathing_liver.breath import CAVA_REACH_M, surroundings

@@ -6,7 +6,7 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh
+from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_training.experiments.breathing.plane_cut import plane_cuts
 from softtissue_training.experiments.breathing.tree_distance import (
     dice,

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 import yaml
 
-from softtissue_estimator.mesh_io import read_mesh
+from softtissue_estimator.organ.mesh_io import read_mesh
 from softtissue_training.cli import main
 
 PATIENT = Path(

@@ -5,7 +5,7 @@ import pytest
 import torch
 from matplotlib.image import imread
 
-from softtissue_estimator.checkpoint import load_checkpoint
+from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
 from softtissue_training.cli import main
 from softtissue_training.simulation.archive import list_records
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from softtissue_estimator.grid import VoxelGrid
-from softtissue_estimator.network_input import NetworkSpec
+from softtissue_estimator.estimators.paper.grid import VoxelGrid
+from softtissue_estimator.estimators.paper.network_input import NetworkSpec
 from softtissue_training.learning.augment import exchange_axes, flip, random_orientation
 from softtissue_training.learning.batch_order import epoch_batches
 from softtissue_training.learning.box import crop, draw_box, draw_growth, own_box

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh, face_areas
+from softtissue_estimator.organ.mesh import SurfaceMesh, face_areas
 from softtissue_training.evaluation.case import depth_below
 from softtissue_training.evaluation.methods import (
     average_by_patch,

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softtissue_estimator.cache import cache_folder
-from softtissue_estimator.checkpoint import save_checkpoint
-from softtissue_estimator.network import UNet, UNetArchitecture
-from softtissue_estimator.network_input import NetworkSpec
+from softtissue_estimator.estimators.paper.checkpoint import save_checkpoint
+from softtissue_estimator.estimators.paper.network import UNet, UNetArchitecture
+from softtissue_estimator.estimators.paper.network_input import NetworkSpec
+from softtissue_estimator.support.cache import cache_folder
 from softtissue_training.cli import main
 from softtissue_training.errors import SolverDivergedError
 from softtissue_training.evaluation import figures, methods, runner

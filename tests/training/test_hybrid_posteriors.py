@@ -16,12 +16,12 @@ import torch
 import softtissue_estimator
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.estimator import create_estimator
-from softtissue_estimator.hybrid import estimator as hybrid_estimator
-from softtissue_estimator.hybrid.checkpoint import save_hybrid_checkpoint
-from softtissue_estimator.hybrid.network import HybridNetwork
-from softtissue_estimator.mesh import face_areas, vertex_areas
-from softtissue_estimator.organ import make_organ
+from softtissue_estimator.estimators.estimator import create_estimator
+from softtissue_estimator.estimators.hybrid import estimator as hybrid_estimator
+from softtissue_estimator.estimators.hybrid.checkpoint import save_hybrid_checkpoint
+from softtissue_estimator.estimators.hybrid.network import HybridNetwork
+from softtissue_estimator.organ.mesh import face_areas, vertex_areas
+from softtissue_estimator.organ.organ import make_organ
 from softtissue_training.cli import main
 from softtissue_training.learning.hybrid import posteriors
 from softtissue_training.learning.hybrid.config import get_hybrid_config
@@ -211,10 +211,10 @@ def test_hash_of_the_estimator_follows_what_its_answers_depend_on(tmp_path, monk
     assert posteriors.elastic_code_hash() == before
     for name, changes in (
         ("config", False),
-        ("paper_estimator", False),
-        ("mesh_files/vtk_files", False),
-        ("elastic/volume_mesh", True),
-        ("surface_lookup", True),
+        ("estimators/paper/estimator", False),
+        ("organ/mesh_files/vtk_files", False),
+        ("organ/volume_mesh", True),
+        ("organ/surface_lookup", True),
     ):
         path = copy / f"{name}.py"
         path.write_text(path.read_text() + "# changed\n")

@@ -10,8 +10,8 @@ import torch
 from safetensors.torch import load_file
 
 from softtissue_estimator.errors import CheckpointError
-from softtissue_estimator.hybrid.checkpoint import load_hybrid_checkpoint
-from softtissue_estimator.hybrid.network import HybridNetwork
+from softtissue_estimator.estimators.hybrid.checkpoint import load_hybrid_checkpoint
+from softtissue_estimator.estimators.hybrid.network import HybridNetwork
 from softtissue_training.cli import main
 from softtissue_training.learning.hybrid.batches import collate
 from softtissue_training.learning.hybrid.config import get_hybrid_config

@@ -5,8 +5,8 @@ import torch
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.organ import load_organ
-from softtissue_estimator.resources import bundled_organ
+from softtissue_estimator.organ.organ import load_organ
+from softtissue_estimator.support.resources import bundled_organ
 from softtissue_training.evaluation import network_timing, other_runtimes
 from softtissue_training.evaluation.network_cases import hybrid_case, paper_case
 from softtissue_training.evaluation.network_timing import OURS, main, table, time_networks

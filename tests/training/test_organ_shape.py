@@ -3,7 +3,7 @@ import pytest
 import trimesh
 
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.mesh import SurfaceMesh, enclosed_volume
+from softtissue_estimator.organ.mesh import SurfaceMesh, enclosed_volume
 from softtissue_training.organs.organ_shape import (
     CUBE_SIDE_M,
     VOLUME_RANGE_M3,

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from softtissue_estimator.mesh import enclosed_volume, vertex_areas
-from softtissue_estimator.organ import load_organ
-from softtissue_estimator.resources import bundled_bag, bundled_organ
-from softtissue_estimator.signed_distance import signed_distance
+from softtissue_estimator.organ.mesh import enclosed_volume, vertex_areas
+from softtissue_estimator.organ.organ import load_organ
+from softtissue_estimator.organ.signed_distance import signed_distance
+from softtissue_estimator.support.resources import bundled_bag, bundled_organ
 
 
 @pytest.fixture(scope="module")

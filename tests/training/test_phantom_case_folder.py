@@ -7,8 +7,8 @@ import trimesh
 import yaml
 
 from softtissue_estimator.errors import SoftTissueError
-from softtissue_estimator.mesh import SurfaceMesh, vertex_areas
-from softtissue_estimator.signed_distance import signed_distance
+from softtissue_estimator.organ.mesh import SurfaceMesh, vertex_areas
+from softtissue_estimator.organ.signed_distance import signed_distance
 from softtissue_training.experiments.fcsv import write_fcsv
 from softtissue_training.experiments.labelled_points import LabelledPoints
 from softtissue_training.experiments.phantom.case import load_phantom_case

@@ -10,8 +10,12 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_types_from_msg
 
-from softtissue_estimator import picture
-from softtissue_estimator.organ import load_organ
+from softtissue_estimator.organ.organ import load_organ
+from softtissue_estimator.registration.elastic_registration import (
+    ElasticRegistrationSettings,
+    register_elastically,
+)
+from softtissue_estimator.view import picture
 from softtissue_training.cli import main
 from softtissue_training.evaluation.methods import parse_methods
 from softtissue_training.experiments.phantom import variants
@@ -21,11 +25,7 @@ from softtissue_training.experiments.phantom.experiment import run_phantom
 from softtissue_training.experiments.phantom.own_case import own_phantom_case
 from softtissue_training.experiments.phantom.variants import variants_of
 from softtissue_training.phantom import bag as bag_format
-from softtissue_training.registration.coherent_point_drift import DriftSettings
-from softtissue_training.registration.elastic_registration import (
-    ElasticRegistrationSettings,
-    register_elastically,
-)
+from softtissue_training.experiments.coherent_point_drift import DriftSettings
 from training.phantom_cases import MARKERS_M, bend, seen_points, write_case
 
 

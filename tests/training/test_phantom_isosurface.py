@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.mesh import enclosed_volume, face_areas
+from softtissue_estimator.organ.mesh import enclosed_volume, face_areas
 from softtissue_training.phantom.isosurface import isosurface
 
 RADIUS = 0.04

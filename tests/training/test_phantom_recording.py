@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 import softtissue_training.phantom.__main__ as command
 from softtissue_estimator.errors import InvalidInputError, MeshError
-from softtissue_estimator.mesh import vertex_areas
-from softtissue_estimator.organ import load_organ
-from softtissue_estimator.signed_distance import signed_distance
+from softtissue_estimator.organ.mesh import vertex_areas
+from softtissue_estimator.organ.organ import load_organ
+from softtissue_estimator.organ.signed_distance import signed_distance
 from softtissue_training.phantom import motion
 from softtissue_training.phantom.bag import START_NS, BagWriter, folder_digest
 from softtissue_training.phantom.build import build_phantom, describe

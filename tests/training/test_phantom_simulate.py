@@ -9,11 +9,11 @@ import pytest
 import trimesh
 import yaml
 
-from softtissue_estimator import picture
-from softtissue_estimator.elastic.volume_mesh import tetrahedralise
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.organ import load_organ
-from softtissue_estimator.signed_distance import signed_distance
+from softtissue_estimator.organ.organ import load_organ
+from softtissue_estimator.organ.signed_distance import signed_distance
+from softtissue_estimator.organ.volume_mesh import tetrahedralise
+from softtissue_estimator.view import picture
 from softtissue_training.cli import main
 from softtissue_training.experiments.phantom.case import load_phantom_case
 from softtissue_training.experiments.phantom.simulate import (

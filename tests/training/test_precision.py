@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.network import UNet, initialise
+from softtissue_estimator.estimators.paper.network import UNet, initialise
 from softtissue_training.learning import precision
 from softtissue_training.learning.dataset import draw_visible, prepare, voxelise
 from softtissue_training.learning.loss import multi_resolution_loss

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import enclosed_volume
-from softtissue_estimator.signed_distance import signed_distance
+from softtissue_estimator.organ.mesh import enclosed_volume
+from softtissue_estimator.organ.signed_distance import signed_distance
 from softtissue_training.cli import main
 from softtissue_training.evaluation.realtime.finite_elements import time_finite_elements
 from softtissue_training.evaluation.realtime.latency_tool import run_latency_tool

@@ -7,9 +7,9 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh
+from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_training.experiments.phantom.spread import spread_correspondences
-from softtissue_training.registration.coherent_point_drift import spread_points
+from softtissue_training.experiments.coherent_point_drift import spread_points
 
 SIGMA_M = 0.0005
 

@@ -3,7 +3,7 @@ import pytest
 import trimesh
 
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.mesh import SurfaceMesh
+from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_training.organs.tetrahedralise import radius_ratio, signed_volumes, tetrahedralise
 
 

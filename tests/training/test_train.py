@@ -13,8 +13,8 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from softtissue_estimator.checkpoint import load_checkpoint
 from softtissue_estimator.errors import CheckpointError, InvalidInputError
+from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
 from softtissue_training.cli import main
 from softtissue_training.learning.run_files import CONFIG, LOG, LOSS, STATE, WEIGHTS
 from softtissue_training.learning.run_summary import SUMMARY

@@ -1,6 +1,6 @@
 import torch
 
-from softtissue_estimator.network import UNet
+from softtissue_estimator.estimators.paper.network import UNet
 from softtissue_training.learning.training_config import get_config
 from softtissue_training.learning.training_state import Progress, load_state, save_state
 

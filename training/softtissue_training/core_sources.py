@@ -23,7 +23,7 @@ def imported_sources(modules: Iterable[str], without: Collection[str] = ()) -> d
     Parameters
     ----------
     modules : iterable of str
-        Where to begin, named as within the core, such as "elastic.estimator".
+        Where to begin, named as within the core, such as "estimators.elastic.estimator".
     without : collection of str
         Modules, or whole packages, that are not followed.
 
@@ -36,7 +36,7 @@ def imported_sources(modules: Iterable[str], without: Collection[str] = ()) -> d
     waiting, found = [*modules], dict[str, Path]()
     while waiting:
         module = waiting.pop()
-        if module in found or module in without or module.partition(".")[0] in without:
+        if module in found or any(f"{module}.".startswith(f"{name}.") for name in without):
             continue
         found[module] = folder.joinpath(*module.split(".")).with_suffix(".py")
         waiting += _imports(found[module])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.stopwatch import Stopwatch
+from softtissue_estimator.inference.stopwatch import Stopwatch
 
 
 def choose_device(name: str) -> torch.device:

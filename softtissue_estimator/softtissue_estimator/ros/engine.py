@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.estimator import Estimator, create_estimator
-from softtissue_estimator.log_lines import log_lines
-from softtissue_estimator.organ import Organ, load_organ
-from softtissue_estimator.resources import bundled_organ
-from softtissue_estimator.ros.answer_buffer import AnswerBuffer
+from softtissue_estimator.estimators.estimator import Estimator, create_estimator
+from softtissue_estimator.organ.organ import Organ, load_organ
 from softtissue_estimator.ros.frames import unmoved
-from softtissue_estimator.ros.markers import MarkerBuffer
-from softtissue_estimator.ros.status import Setup
+from softtissue_estimator.ros.outputs.answer_buffer import AnswerBuffer
+from softtissue_estimator.ros.outputs.markers import MarkerBuffer
+from softtissue_estimator.ros.outputs.status import Setup
+from softtissue_estimator.support.log_lines import log_lines
+from softtissue_estimator.support.resources import bundled_organ
 
 
 @dataclass(frozen=True)

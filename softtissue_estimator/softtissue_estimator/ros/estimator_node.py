@@ -20,17 +20,17 @@ from visualization_msgs.msg import MarkerArray
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
 from softtissue_estimator.ros import parameters
-from softtissue_estimator.ros.counters import FrameCounters
 from softtissue_estimator.ros.engine import Engine, load_engine
 from softtissue_estimator.ros.frames import Frame
-from softtissue_estimator.ros.intake import Intake, Received
+from softtissue_estimator.ros.inputs.counters import FrameCounters
+from softtissue_estimator.ros.inputs.intake import Intake, Received
+from softtissue_estimator.ros.inputs.registration import Registration, tf_source
+from softtissue_estimator.ros.inputs.watchdog import silence
+from softtissue_estimator.ros.outputs.status import INVALID, diagnostics_message
 from softtissue_estimator.ros.pipeline import Pipeline
-from softtissue_estimator.ros.registration import Registration, tf_source
 from softtissue_estimator.ros.responder import Outputs, Responder
 from softtissue_estimator.ros.services import answer_warp, loaded
-from softtissue_estimator.ros.status import INVALID, diagnostics_message
 from softtissue_estimator.ros.throttle import Throttle
-from softtissue_estimator.ros.watchdog import silence
 
 NAME = "softtissue_estimator"
 LOG_PERIOD_S = 5.0

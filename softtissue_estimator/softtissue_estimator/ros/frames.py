@@ -9,14 +9,14 @@ from softtissue_msgs.msg import Correspondences
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.estimator import Estimate, Estimator
-from softtissue_estimator.observation import Observation, make_observation
-from softtissue_estimator.organ import Organ
-from softtissue_estimator.ros.conversions import Cloud, read_cloud
-from softtissue_estimator.ros.correspondences import read_correspondences
-from softtissue_estimator.ros.registration import Registration, transform_points
-from softtissue_estimator.stopwatch import Stopwatch
-from softtissue_estimator.visibility import visible_fraction
+from softtissue_estimator.estimators.estimator import Estimate, Estimator
+from softtissue_estimator.inference.stopwatch import Stopwatch
+from softtissue_estimator.observation.observation import Observation, make_observation
+from softtissue_estimator.observation.visibility import visible_fraction
+from softtissue_estimator.organ.organ import Organ
+from softtissue_estimator.ros.inputs.conversions import Cloud, read_cloud
+from softtissue_estimator.ros.inputs.correspondences import read_correspondences
+from softtissue_estimator.ros.inputs.registration import Registration, transform_points
 
 FloatArray = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ def main() -> None:
 
     from softtissue_estimator.errors import SoftTissueError
     from softtissue_estimator.ros.estimator_node import EstimatorNode
-    from softtissue_estimator.ros.transport import use_profile
+    from softtissue_estimator.ros.inputs.transport import use_profile
 
     profile = use_profile()
     try:

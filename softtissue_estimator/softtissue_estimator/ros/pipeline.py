@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 
-from softtissue_estimator.latest_worker import LatestWorker
-from softtissue_estimator.ros.counters import FrameCounters
 from softtissue_estimator.ros.frames import Frame
+from softtissue_estimator.ros.inputs.counters import FrameCounters
 from softtissue_estimator.ros.responder import Outcome, Responder
+from softtissue_estimator.support.latest_worker import LatestWorker
 
 
 class Pipeline:

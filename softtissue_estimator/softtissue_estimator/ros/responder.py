@@ -10,13 +10,13 @@ from sensor_msgs.msg import PointCloud2
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import SoftTissueError
-from softtissue_estimator.ros.conversions import stamp_ns
-from softtissue_estimator.ros.counters import FrameCounters
 from softtissue_estimator.ros.engine import Engine
 from softtissue_estimator.ros.frames import Answer, Frame, answer_frame, doubts
-from softtissue_estimator.ros.markers import delete_all
-from softtissue_estimator.ros.registration import Registration
-from softtissue_estimator.ros.status import DEGRADED, INVALID, OK, Report, Setup, status_message
+from softtissue_estimator.ros.inputs.conversions import stamp_ns
+from softtissue_estimator.ros.inputs.counters import FrameCounters
+from softtissue_estimator.ros.inputs.registration import Registration
+from softtissue_estimator.ros.outputs.markers import delete_all
+from softtissue_estimator.ros.outputs.status import DEGRADED, INVALID, OK, Report, Setup, status_message
 
 
 @dataclass(frozen=True)

@@ -119,7 +119,7 @@ def run_tool(
     from rclpy.utilities import remove_ros_args
 
     from softtissue_estimator.errors import SoftTissueError
-    from softtissue_estimator.ros.transport import use_profile
+    from softtissue_estimator.ros.inputs.transport import use_profile
 
     options = parse(remove_ros_args(sys.argv)[1:])
     use_profile()

@@ -4,10 +4,10 @@ import numpy as np
 from softtissue_msgs.srv import LoadOrgan, WarpPoints
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.organ import Organ
-from softtissue_estimator.ros.conversions import doubles, time_message
+from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.ros.frames import Answer
-from softtissue_estimator.ros.registration import Registration, transform_points
+from softtissue_estimator.ros.inputs.conversions import doubles, time_message
+from softtissue_estimator.ros.inputs.registration import Registration, transform_points
 
 
 def loaded(

@@ -6,25 +6,25 @@ import numpy as np
 import pytest
 import torch
 
-from softtissue_estimator.bending_organ import BendingOrgan
-from softtissue_estimator.checkpoint import load_checkpoint
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.hybrid.network import HybridArchitecture, HybridNetwork
-from softtissue_estimator.hybrid.network import initialise as initialise_hybrid
-from softtissue_estimator.inference import runtime as network_runtime
-from softtissue_estimator.inference.precision import choose_precision, computes_in
-from softtissue_estimator.inference.runtime import NetworkRuntime
-from softtissue_estimator.network import UNet, UNetArchitecture
-from softtissue_estimator.network_input import (
+from softtissue_estimator.estimators.hybrid.network import HybridArchitecture, HybridNetwork
+from softtissue_estimator.estimators.hybrid.network import initialise as initialise_hybrid
+from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
+from softtissue_estimator.estimators.paper.network import UNet, UNetArchitecture
+from softtissue_estimator.estimators.paper.network_input import (
     assemble_input,
     cached_channels,
     organ_grid,
     visible_displacement,
 )
-from softtissue_estimator.observation import make_observation
-from softtissue_estimator.organ import load_organ
-from softtissue_estimator.resources import bundled_checkpoint, bundled_organ
+from softtissue_estimator.inference import runtime as network_runtime
+from softtissue_estimator.inference.precision import choose_precision, computes_in
+from softtissue_estimator.inference.runtime import NetworkRuntime
+from softtissue_estimator.observation.bending_organ import BendingOrgan
+from softtissue_estimator.observation.observation import make_observation
+from softtissue_estimator.organ.organ import load_organ
+from softtissue_estimator.support.resources import bundled_checkpoint, bundled_organ
 
 CPU = torch.device("cpu")
 

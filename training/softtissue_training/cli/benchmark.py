@@ -68,9 +68,9 @@ def add(commands: Commands) -> None:
 
 def _benchmark(options: argparse.Namespace) -> int:
     from softtissue_estimator.errors import InvalidInputError
-    from softtissue_estimator.estimator import estimator_names
-    from softtissue_estimator.organ_file import read_organ_file
-    from softtissue_estimator.resources import bundled_organ
+    from softtissue_estimator.estimators.estimator import estimator_names
+    from softtissue_estimator.organ.organ_file import read_organ_file
+    from softtissue_estimator.support.resources import bundled_organ
     from softtissue_training.evaluation.benchmark.pairs import parse_pairs
     from softtissue_training.evaluation.benchmark.plan import NamedSurface, make_plan
     from softtissue_training.evaluation.benchmark.run import run_benchmark

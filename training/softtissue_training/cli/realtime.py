@@ -43,7 +43,7 @@ def _realtime(options: argparse.Namespace) -> int:
     import shutil
 
     from softtissue_estimator.errors import InvalidInputError
-    from softtissue_estimator.estimator import estimator_names
+    from softtissue_estimator.estimators.estimator import estimator_names
     from softtissue_training.evaluation.realtime.plan import make_plan
     from softtissue_training.evaluation.realtime.report import bench_summary, markdown
     from softtissue_training.evaluation.realtime.run import run_realtime

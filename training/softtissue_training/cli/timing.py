@@ -55,8 +55,8 @@ def _timing(options: argparse.Namespace) -> int:
 
     from softtissue_estimator.config import EstimatorConfig
     from softtissue_estimator.errors import InvalidInputError
-    from softtissue_estimator.organ import load_organ
-    from softtissue_estimator.resources import bundled_organ
+    from softtissue_estimator.organ.organ import load_organ
+    from softtissue_estimator.support.resources import bundled_organ
     from softtissue_training.evaluation.timing import TimingPlan, measure, table
 
     if options.seed < 0 or not 0.0 <= options.rate < float("inf"):

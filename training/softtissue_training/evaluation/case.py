@@ -8,11 +8,11 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
-from softtissue_estimator.elastic.volume_mesh import VolumeMesh
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh
-from softtissue_estimator.observation import Observation
-from softtissue_estimator.organ import Organ
+from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.organ.mesh import SurfaceMesh
+from softtissue_estimator.organ.organ import Organ
+from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -21,12 +21,12 @@ from scipy.spatial import cKDTree
 import softtissue_training
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.estimator import Estimator, create_estimator, estimator_names
-from softtissue_estimator.mesh import sum_by_index
-from softtissue_estimator.observation import Observation
-from softtissue_estimator.organ import Organ
-from softtissue_estimator.rigid import fit_rigid
-from softtissue_estimator.surface_lookup import SurfaceLookup
+from softtissue_estimator.estimators.estimator import Estimator, create_estimator, estimator_names
+from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.observation.rigid import fit_rigid
+from softtissue_estimator.organ.mesh import sum_by_index
+from softtissue_estimator.organ.organ import Organ
+from softtissue_estimator.organ.surface_lookup import SurfaceLookup
 from softtissue_training.core_sources import core_sources
 from softtissue_training.evaluation.case import EvaluationCase
 
@@ -215,7 +215,7 @@ class MethodSpec:
         if self.checkpoint is None:
             return {}
         # Torch is slow to import.
-        from softtissue_estimator.checkpoint import read_provenance
+        from softtissue_estimator.estimators.paper.checkpoint import read_provenance
 
         return {
             "file": self.checkpoint.name,

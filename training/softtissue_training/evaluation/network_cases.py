@@ -9,22 +9,27 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from softtissue_estimator.bending_organ import NOISE_M, BendingOrgan
-from softtissue_estimator.checkpoint import load_checkpoint
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.elastic.estimator import ElasticEstimator
-from softtissue_estimator.hybrid.checkpoint import load_hybrid_checkpoint
-from softtissue_estimator.hybrid.input import assemble_hybrid_input, hybrid_grid, posterior_cells, remainder
-from softtissue_estimator.hybrid.posterior import make_reader, seen_misfit
-from softtissue_estimator.network_input import (
+from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
+from softtissue_estimator.estimators.hybrid.checkpoint import load_hybrid_checkpoint
+from softtissue_estimator.estimators.hybrid.input import (
+    assemble_hybrid_input,
+    hybrid_grid,
+    posterior_cells,
+    remainder,
+)
+from softtissue_estimator.estimators.hybrid.posterior import make_reader, seen_misfit
+from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
+from softtissue_estimator.estimators.paper.network_input import (
     assemble_input,
     cached_channels,
     organ_grid,
     visible_displacement,
 )
-from softtissue_estimator.observation import Observation, make_observation
-from softtissue_estimator.organ import Organ
-from softtissue_estimator.resources import bundled_checkpoint
+from softtissue_estimator.observation.bending_organ import NOISE_M, BendingOrgan
+from softtissue_estimator.observation.observation import Observation, make_observation
+from softtissue_estimator.organ.organ import Organ
+from softtissue_estimator.support.resources import bundled_checkpoint
 
 _POINTS = 1200
 _TIME_S = 1.2  # of the organ's swing: near its largest displacement

@@ -17,12 +17,12 @@ from torch import Tensor
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
+from softtissue_estimator.estimators.paper.network import UNet, UNetArchitecture
 from softtissue_estimator.inference.device import choose_device
 from softtissue_estimator.inference.precision import PRECISIONS, choose_precision
 from softtissue_estimator.inference.runtime import NetworkRuntime
-from softtissue_estimator.network import UNet, UNetArchitecture
-from softtissue_estimator.organ import Organ, load_organ
-from softtissue_estimator.resources import bundled_organ
+from softtissue_estimator.organ.organ import Organ, load_organ
+from softtissue_estimator.support.resources import bundled_organ
 from softtissue_training.evaluation.network_cases import NetworkCase, hybrid_case, paper_case
 from softtissue_training.evaluation.other_runtimes import RUNTIMES, missing_packages
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.elastic.volume_mesh import VolumeMesh
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh, face_areas, sample_faces, sum_by_index
-from softtissue_estimator.observation import Observation, make_observation
-from softtissue_estimator.organ import Organ, make_organ
+from softtissue_estimator.observation.observation import Observation, make_observation
+from softtissue_estimator.organ.mesh import SurfaceMesh, face_areas, sample_faces, sum_by_index
+from softtissue_estimator.organ.organ import Organ, make_organ
+from softtissue_estimator.organ.volume_mesh import VolumeMesh
 from softtissue_training.evaluation.case import EvaluationCase, depth_below
 from softtissue_training.organs.surface_patch import draw_faces, resized
 from softtissue_training.simulation.sample import Sample

@@ -9,8 +9,8 @@ from scipy.sparse import coo_array, csr_array
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh
-from softtissue_estimator.observation import Observation
+from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_training.evaluation.case import EvaluationCase
 from softtissue_training.physics.material import Material
 from softtissue_training.physics.solver import solve

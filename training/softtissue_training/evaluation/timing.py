@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from softtissue_estimator.bending_organ import NOISE_M, BendingOrgan
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.estimator import Estimator, create_estimator
-from softtissue_estimator.observation import make_observation
-from softtissue_estimator.organ import Organ
-from softtissue_estimator.stopwatch import Stopwatch
-from softtissue_estimator.visibility import visible_fraction
+from softtissue_estimator.estimators.estimator import Estimator, create_estimator
+from softtissue_estimator.inference.stopwatch import Stopwatch
+from softtissue_estimator.observation.bending_organ import NOISE_M, BendingOrgan
+from softtissue_estimator.observation.observation import make_observation
+from softtissue_estimator.observation.visibility import visible_fraction
+from softtissue_estimator.organ.organ import Organ
 from softtissue_training.evaluation.benchmark.machine import machine
 
 Progress = Callable[[str], None]

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import FloatArray
+from softtissue_estimator.organ.mesh import FloatArray
 
 CoordinateSystem = Literal["LPS", "RAS"]
 """Where x, y and z point: Left, Posterior, Superior (DICOM, ITK, files of Slicer 4.11 and later) or Right, Anterior,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import FloatArray
+from softtissue_estimator.organ.mesh import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import FloatArray
+from softtissue_estimator.organ.mesh import FloatArray
 from softtissue_training.experiments.coordinates import (
     CoordinateSystem,
     convert_coordinates,

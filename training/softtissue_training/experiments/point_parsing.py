@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import FloatArray
+from softtissue_estimator.organ.mesh import FloatArray
 from softtissue_training.experiments.coordinates import CoordinateSystem, convert_coordinates
 from softtissue_training.experiments.labelled_points import LabelledPoints
 

@@ -16,9 +16,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
-from softtissue_estimator.grid import VoxelGrid
-from softtissue_estimator.mesh import face_areas, sample_faces
-from softtissue_estimator.network_input import (
+from softtissue_estimator.estimators.paper.grid import VoxelGrid
+from softtissue_estimator.estimators.paper.network_input import (
     NetworkSpec,
     OrganChannels,
     assemble_input,
@@ -26,7 +25,8 @@ from softtissue_estimator.network_input import (
     organ_grid,
     to_batch,
 )
-from softtissue_estimator.rasterise import rasterise_many
+from softtissue_estimator.estimators.paper.rasterise import rasterise_many
+from softtissue_estimator.organ.mesh import face_areas, sample_faces
 from softtissue_training.learning.voxel_target import voxel_displacement
 from softtissue_training.organs.organ_shape import CUBE_SIDE_M
 from softtissue_training.organs.surface_patch import edge_graph, grow_patch

@@ -5,8 +5,12 @@ from __future__ import annotations
 from pathlib import Path, PurePath
 from typing import Any
 
-from softtissue_estimator.checkpoint import checkpoint_kind, load_checkpoint, save_checkpoint
-from softtissue_estimator.hybrid.checkpoint import KIND, load_hybrid_checkpoint, save_hybrid_checkpoint
+from softtissue_estimator.estimators.hybrid.checkpoint import (
+    KIND,
+    load_hybrid_checkpoint,
+    save_hybrid_checkpoint,
+)
+from softtissue_estimator.estimators.paper.checkpoint import checkpoint_kind, load_checkpoint, save_checkpoint
 
 
 def export(checkpoint: Path, file: Path) -> dict[str, Any]:

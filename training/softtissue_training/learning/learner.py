@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from softtissue_estimator.network import UNet, initialise
+from softtissue_estimator.estimators.paper.network import UNet, initialise
 from softtissue_training.learning.distributed import Ranks
 from softtissue_training.learning.loss import sample_losses
 from softtissue_training.learning.optimisation import Optimisation

@@ -6,9 +6,9 @@ import torch
 from torch import Tensor, nn
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.hybrid.network import HybridNetwork
+from softtissue_estimator.estimators.hybrid.network import HybridNetwork
+from softtissue_estimator.estimators.paper.network import UNet
 from softtissue_estimator.inference.precision import computes_in
-from softtissue_estimator.network import UNet
 
 PRECISIONS = ("auto", "float32", "bfloat16")
 

@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 
 from tqdm import tqdm
 
-from softtissue_estimator.checkpoint import save_checkpoint
+from softtissue_estimator.estimators.paper.checkpoint import save_checkpoint
 from softtissue_training.learning.optimisation import Optimisation, Settings
 from softtissue_training.learning.run_log import CsvLog, TensorBoardLog
 from softtissue_training.learning.run_summary import provenance

@@ -11,7 +11,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.network_input import NetworkSpec
+from softtissue_estimator.estimators.paper.network_input import NetworkSpec
 from softtissue_training.learning.dataset import PreparedSample, prepare
 from softtissue_training.learning.training_config import TrainingConfig
 from softtissue_training.simulation.archive import digest, list_records, read_records

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.network import UNetArchitecture
-from softtissue_estimator.network_input import NetworkSpec
+from softtissue_estimator.estimators.paper.network import UNetArchitecture
+from softtissue_estimator.estimators.paper.network_input import NetworkSpec
 from softtissue_training.organs.organ_shape import CUBE_SIDE_M
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from softtissue_estimator.network import UNet
-from softtissue_estimator.network_input import NetworkSpec
-from softtissue_estimator.rigid import fit_rigid
+from softtissue_estimator.estimators.paper.network import UNet
+from softtissue_estimator.estimators.paper.network_input import NetworkSpec
+from softtissue_estimator.observation.rigid import fit_rigid
 from softtissue_training.learning.batch_order import slots_of
 from softtissue_training.learning.box import crop, own_box
 from softtissue_training.learning.dataset import PreparedSample, voxelise

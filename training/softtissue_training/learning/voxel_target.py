@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from softtissue_estimator.grid import VoxelGrid
+from softtissue_estimator.estimators.paper.grid import VoxelGrid
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

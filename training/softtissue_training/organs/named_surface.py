@@ -9,10 +9,10 @@ import numpy as np
 import trimesh
 
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.mesh import SurfaceMesh
-from softtissue_estimator.mesh_io import read_mesh
-from softtissue_estimator.signed_distance import signed_distance
-from softtissue_estimator.surface_repair import clean_organ_surface
+from softtissue_estimator.organ.mesh import SurfaceMesh
+from softtissue_estimator.organ.mesh_io import read_mesh
+from softtissue_estimator.organ.signed_distance import signed_distance
+from softtissue_estimator.organ.surface_repair import clean_organ_surface
 from softtissue_training.organs.organ_shape import CUBE_SIDE_M, check_self_intersection
 from softtissue_training.organs.resampling import resample
 from softtissue_training.organs.tetrahedralise import TetMesh, tetrahedralise

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.mesh import SurfaceMesh, enclosed_volume
+from softtissue_estimator.organ.mesh import SurfaceMesh, enclosed_volume
 from softtissue_training.organs.deformations import bend, extrude, push, superellipsoid, taper, twist
 from softtissue_training.organs.resampling import resample
 

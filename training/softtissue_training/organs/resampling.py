@@ -8,7 +8,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.mesh import SurfaceMesh, face_areas
+from softtissue_estimator.organ.mesh import SurfaceMesh, face_areas
 
 FloatArray = NDArray[np.float64]
 

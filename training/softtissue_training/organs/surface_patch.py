@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
-from softtissue_estimator.mesh import SurfaceMesh, face_areas, vertex_areas
+from softtissue_estimator.organ.mesh import SurfaceMesh, face_areas, vertex_areas
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.mesh import SurfaceMesh
+from softtissue_estimator.organ.mesh import SurfaceMesh
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -10,8 +10,8 @@ import yaml
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.mesh import SurfaceMesh
-from softtissue_estimator.surface_patch import patch
+from softtissue_estimator.organ.mesh import SurfaceMesh
+from softtissue_estimator.organ.surface_patch import patch
 from softtissue_training.phantom.implicit import Implicit, Points
 from softtissue_training.phantom.isosurface import isosurface
 from softtissue_training.phantom.liver_shape import LiverShape, random_liver

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from softtissue_estimator.mesh import SurfaceMesh, enclosed_volume, face_areas
+from softtissue_estimator.organ.mesh import SurfaceMesh, enclosed_volume, face_areas
 from softtissue_training.phantom.anatomy import Anatomy, build_anatomy, write_organ
 from softtissue_training.phantom.bag import BagWriter
 from softtissue_training.phantom.motion import Motion, simulate

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.mesh import SurfaceMesh
+from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_training.phantom.implicit import Implicit, gradient
 
 

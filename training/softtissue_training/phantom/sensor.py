@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh
+from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_training.phantom.anatomy import Anatomy
 from softtissue_training.phantom.motion import Motion
 from softtissue_training.phantom.spec import PhantomSpec

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softtissue_estimator.mesh import SurfaceMesh, vertex_areas
+from softtissue_estimator.organ.mesh import SurfaceMesh, vertex_areas
 from softtissue_training.errors import RejectedSampleError
 from softtissue_training.organs.surface_patch import random_patch
 from softtissue_training.organs.tetrahedralise import TetMesh, signed_volumes

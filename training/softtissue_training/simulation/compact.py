@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softtissue_estimator.elastic.volume_mesh import VolumeMesh
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
 Parts = tuple[dict[str, Any], dict[str, Any]]
 """Arrays by name, as `record_format` describes them, and the rest as JSON values."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softtissue_estimator.mesh import SurfaceMesh
+from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_training.physics.material import Material
 from softtissue_training.simulation.recipe import Recipe
 

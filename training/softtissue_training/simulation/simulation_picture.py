@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from softtissue_estimator.mesh import SurfaceMesh, enclosed_volume
-from softtissue_estimator.rendering import draw_solid, look_from, reduce_image
+from softtissue_estimator.organ.mesh import SurfaceMesh, enclosed_volume
+from softtissue_estimator.view.rendering import draw_solid, look_from, reduce_image
 from softtissue_training.simulation.sample import Sample
 
 FloatArray = NDArray[np.float64]

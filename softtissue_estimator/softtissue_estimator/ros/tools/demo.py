@@ -14,10 +14,10 @@ from typing import Any
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
-from softtissue_estimator.resources import bundled_bag, bundled_checkpoint, bundled_organ
 from softtissue_estimator.ros.tools.demo_picture import draw, read_recording
 from softtissue_estimator.ros.tools.processes import executable, process, relay
 from softtissue_estimator.ros.tools.scoring import failures, table
+from softtissue_estimator.support.resources import bundled_bag, bundled_checkpoint, bundled_organ
 
 # Preparing an organ for the first time takes up to minutes on a busy machine; afterwards it is cached.
 START_TIMEOUT_S = 300

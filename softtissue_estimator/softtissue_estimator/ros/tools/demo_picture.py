@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.organ import load_organ
-from softtissue_estimator.picture import Markers, Scene, draw_phantom
-from softtissue_estimator.ros.conversions import Cloud, read_cloud
-from softtissue_estimator.ros.conversions import stamp_ns as nanoseconds
-from softtissue_estimator.ros.correspondences import read_correspondences
-from softtissue_estimator.ros.registration import Registration, transform_points
+from softtissue_estimator.organ.organ import load_organ
+from softtissue_estimator.ros.inputs.conversions import Cloud, read_cloud
+from softtissue_estimator.ros.inputs.conversions import stamp_ns as nanoseconds
+from softtissue_estimator.ros.inputs.correspondences import read_correspondences
+from softtissue_estimator.ros.inputs.registration import Registration, transform_points
 from softtissue_estimator.ros.tools.bag import Bag, message_type
+from softtissue_estimator.view.picture import Markers, Scene, draw_phantom
 
 FloatArray = NDArray[np.float64]
 

@@ -127,7 +127,7 @@ class Replay:
                 bar.update()
 
     def _publish(self, publisher: Any, connection: Any, data: bytes) -> None:
-        from softtissue_estimator.ros.serialised import with_stamp
+        from softtissue_estimator.ros.outputs.serialised import with_stamp
 
         if self._options.restamp and connection.id in self._stamped:
             data = with_stamp(data, time.time_ns())

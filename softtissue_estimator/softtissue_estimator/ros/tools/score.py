@@ -126,13 +126,13 @@ class Listener:
         return quiet > (1.0 if self.record.unaccounted == 0 else SETTLE_S)
 
     def _on_cloud(self, data: bytes, info: dict[str, Any]) -> None:
-        from softtissue_estimator.ros.serialised import read_stamp
+        from softtissue_estimator.ros.outputs.serialised import read_stamp
 
         self.last_news_s = time.monotonic()
         self.record.sent_ns[read_stamp(data)] = int(info["source_timestamp"])
 
     def _on_answer(self, message: Any) -> None:
-        from softtissue_estimator.ros.conversions import stamp_ns
+        from softtissue_estimator.ros.inputs.conversions import stamp_ns
 
         now = time.time_ns()
         self.last_news_s = time.monotonic()
@@ -151,7 +151,7 @@ class Listener:
 
     def _warp(self, points: FloatArray, take: Callable[[int, FloatArray], None]) -> None:
         """Ask where preoperative points (m, organ frame) are now; `take` gets stamp and positions."""
-        from softtissue_estimator.ros.conversions import doubles, stamp_ns
+        from softtissue_estimator.ros.inputs.conversions import doubles, stamp_ns
 
         def on_response(future: Any) -> None:
             response = future.result()
@@ -167,7 +167,7 @@ class Listener:
 
     def _on_truth(self, message: Any) -> None:
         from softtissue_estimator.errors import InvalidInputError
-        from softtissue_estimator.ros.conversions import read_cloud
+        from softtissue_estimator.ros.inputs.conversions import read_cloud
 
         try:
             cloud = read_cloud(message)
@@ -192,7 +192,7 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
     """Listen and print; return the exit code."""
     import rclpy
 
-    from softtissue_estimator.organ import load_organ
+    from softtissue_estimator.organ.organ import load_organ
 
     node = rclpy.create_node("score")
     snapshot = None

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from softtissue_estimator.organ import Organ
+from softtissue_estimator.organ.organ import Organ
 from softtissue_training.evaluation.benchmark.plan import DataSet
 from softtissue_training.evaluation.case import EvaluationCase
 from softtissue_training.evaluation.observe import ObservationSettings, simulated_case, told_organ

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from softtissue_estimator.bending_organ import NOISE_M, BendingOrgan
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.elastic.volume_mesh import VolumeMesh
-from softtissue_estimator.observation import make_observation
-from softtissue_estimator.organ import Organ, load_organ, make_organ
-from softtissue_estimator.organ_file import read_organ_file
-from softtissue_estimator.resources import bundled_organ
+from softtissue_estimator.observation.bending_organ import NOISE_M, BendingOrgan
+from softtissue_estimator.observation.observation import make_observation
+from softtissue_estimator.organ.organ import Organ, load_organ, make_organ
+from softtissue_estimator.organ.organ_file import read_organ_file
+from softtissue_estimator.organ.volume_mesh import VolumeMesh
+from softtissue_estimator.support.resources import bundled_organ
 from softtissue_training.errors import SolverDivergedError
 from softtissue_training.evaluation.case import EvaluationCase
 from softtissue_training.evaluation.prescribed import finite_element_displacement

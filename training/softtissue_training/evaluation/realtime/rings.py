@@ -12,10 +12,10 @@ import yaml
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh
-from softtissue_estimator.organ import Organ, load_organ
-from softtissue_estimator.resources import bundled_organ
-from softtissue_estimator.signed_distance import signed_distance
+from softtissue_estimator.organ.mesh import SurfaceMesh
+from softtissue_estimator.organ.organ import Organ, load_organ
+from softtissue_estimator.organ.signed_distance import signed_distance
+from softtissue_estimator.support.resources import bundled_organ
 
 FloatArray = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import torch
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.inference.device import choose_device
-from softtissue_estimator.organ import load_organ
+from softtissue_estimator.organ.organ import load_organ
 from softtissue_training.evaluation.benchmark.machine import busy_cores, machine
 from softtissue_training.evaluation.network_timing import time_networks, time_reference
 from softtissue_training.evaluation.realtime.finite_elements import time_finite_elements

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 import softtissue_training
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh, enclosed_volume
-from softtissue_estimator.mesh_io import read_mesh
-from softtissue_estimator.organ import Organ, Structure, load_organ
-from softtissue_estimator.organ_file import UNITS_M
-from softtissue_estimator.surface_repair import check_closed, clean_organ_surface
+from softtissue_estimator.organ.mesh import SurfaceMesh, enclosed_volume
+from softtissue_estimator.organ.mesh_io import read_mesh
+from softtissue_estimator.organ.organ import Organ, Structure, load_organ
+from softtissue_estimator.organ.organ_file import UNITS_M
+from softtissue_estimator.organ.surface_repair import check_closed, clean_organ_surface
 from softtissue_training.experiments.coordinates import (
     COORDINATE_SYSTEMS,
     CoordinateSystem,

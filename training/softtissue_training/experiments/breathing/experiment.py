@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.mesh import sample_faces
-from softtissue_estimator.observation import make_observation
-from softtissue_estimator.organ import Organ
+from softtissue_estimator.observation.observation import make_observation
+from softtissue_estimator.organ.mesh import sample_faces
+from softtissue_estimator.organ.organ import Organ
+from softtissue_estimator.registration.rigid_icp import RigidFit
 from softtissue_training.evaluation.case import EvaluationCase
 from softtissue_training.evaluation.measured import CaseResult
 from softtissue_training.evaluation.methods import MethodSpec
@@ -28,7 +29,6 @@ from softtissue_training.experiments.breathing.measures import Question, make_qu
 from softtissue_training.experiments.breathing.plane_cut import Cut, plane_cuts
 from softtissue_training.experiments.breathing.surface_tracking import Tracked, align
 from softtissue_training.experiments.breathing.tracking_store import track_once
-from softtissue_training.registration.rigid_icp import RigidFit
 
 FloatArray = NDArray[np.float64]
 

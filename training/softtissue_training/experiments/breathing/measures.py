@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softtissue_estimator.mesh import SurfaceMesh
-from softtissue_estimator.rigid import RigidMotion
+from softtissue_estimator.observation.rigid import RigidMotion
+from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_training.experiments.breathing.case import INSIDE, SURFACE, BreathingCase
 from softtissue_training.experiments.breathing.tree_distance import (
     DilatedSolid,

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from softtissue_estimator.mesh import SurfaceMesh
-from softtissue_estimator.rendering import (
+from softtissue_estimator.organ.mesh import SurfaceMesh
+from softtissue_estimator.view.rendering import (
     Camera,
     behind_glass,
     draw_solid,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh, face_areas
+from softtissue_estimator.organ.mesh import SurfaceMesh, face_areas
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

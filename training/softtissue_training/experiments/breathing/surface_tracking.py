@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.rendering import vertex_normals
-from softtissue_estimator.rigid import RigidMotion
+from softtissue_estimator.observation.rigid import RigidMotion
+from softtissue_estimator.registration.elastic_registration import register_elastically
+from softtissue_estimator.registration.rigid_icp import IDENTITY, RigidFit, rigid_icp_from, starts_of
+from softtissue_estimator.registration.unknown_pose import after
+from softtissue_estimator.view.rendering import vertex_normals
 from softtissue_training.experiments.breathing.case import SURFACE, BreathingCase
-from softtissue_training.registration.coherent_point_drift import DriftSettings, coherent_point_drift
-from softtissue_training.registration.elastic_registration import register_elastically
-from softtissue_training.registration.rigid_icp import IDENTITY, RigidFit, rigid_icp_from, starts_of
-from softtissue_training.registration.unknown_pose import after
+from softtissue_training.experiments.coherent_point_drift import DriftSettings, coherent_point_drift
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[str], None]

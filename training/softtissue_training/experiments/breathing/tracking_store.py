@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import softtissue_training
-from softtissue_estimator.rigid import RigidMotion
+from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_training.core_sources import core_sources
 from softtissue_training.experiments.breathing.case import BreathingCase
 from softtissue_training.experiments.breathing.surface_tracking import TRACKERS, Progress, Tracked
@@ -61,7 +61,7 @@ def _key(case: BreathingCase, motion: RigidMotion) -> str:
     training = Path(softtissue_training.__file__).parent
     sources = [
         training / "experiments" / "breathing" / "surface_tracking.py",
-        *sorted((training / "registration").glob("*.py")),
+        training / "experiments" / "coherent_point_drift.py",
         *core_sources(),
     ]
     for source in sources:

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt, label
 from scipy.spatial import cKDTree
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh, face_areas, sample_faces
+from softtissue_estimator.organ.mesh import SurfaceMesh, face_areas, sample_faces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.mesh import SurfaceMesh
+from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_training.experiments.breathing_liver.exponential_tissue import exponential_tissue
 from softtissue_training.experiments.breathing_liver.liver import Anatomy
 from softtissue_training.experiments.breathing_liver.spec import BreathingSpec

@@ -12,8 +12,8 @@ import yaml
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from softtissue_estimator.mesh import SurfaceMesh, enclosed_volume, vertex_areas
-from softtissue_estimator.rigid import RigidMotion
+from softtissue_estimator.observation.rigid import RigidMotion
+from softtissue_estimator.organ.mesh import SurfaceMesh, enclosed_volume, vertex_areas
 from softtissue_training.experiments.breathing_liver.breath import CAVA_REACH_M, Breath, simulate
 from softtissue_training.experiments.breathing_liver.liver import Anatomy, build_anatomy
 from softtissue_training.experiments.breathing_liver.scan import segment

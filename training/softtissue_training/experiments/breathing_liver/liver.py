@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from softtissue_estimator.mesh import SurfaceMesh
+from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_training.experiments.breathing_liver.spec import BreathingSpec
 from softtissue_training.phantom.anatomy import Part, check_inside, enter_organ, straight_way
 from softtissue_training.phantom.implicit import Points, Values, capsule

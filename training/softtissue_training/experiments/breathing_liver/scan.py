@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter, label, map_coordinates, spline_filter
 
-from softtissue_estimator.mesh import SurfaceMesh, sample_faces
-from softtissue_estimator.signed_distance import signed_distance
+from softtissue_estimator.organ.mesh import SurfaceMesh, sample_faces
+from softtissue_estimator.organ.signed_distance import signed_distance
 from softtissue_training.phantom.isosurface import isosurface
 
 FloatArray = NDArray[np.float64]

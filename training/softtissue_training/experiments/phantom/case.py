@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh, sample_faces
-from softtissue_estimator.mesh_io import read_mesh
-from softtissue_estimator.organ import Organ, load_organ
-from softtissue_estimator.organ_file import read_organ_file
-from softtissue_estimator.signed_distance import signed_distance
-from softtissue_estimator.surface_patch import patch
+from softtissue_estimator.organ.mesh import SurfaceMesh, sample_faces
+from softtissue_estimator.organ.mesh_io import read_mesh
+from softtissue_estimator.organ.organ import Organ, load_organ
+from softtissue_estimator.organ.organ_file import read_organ_file
+from softtissue_estimator.organ.signed_distance import signed_distance
+from softtissue_estimator.organ.surface_patch import patch
 from softtissue_training.experiments.paired_points import (
     PairedPoints,
     read_pair_of_lists,
@@ -23,7 +23,7 @@ from softtissue_training.experiments.paired_points import (
 )
 from softtissue_training.experiments.phantom.case_file import CaseFile, Pairs, read_case_file
 from softtissue_training.experiments.point_lists import read_points
-from softtissue_training.registration.coherent_point_drift import spread_points
+from softtissue_training.experiments.coherent_point_drift import spread_points
 
 FloatArray = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import cast
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.organ_file import UNITS_M
+from softtissue_estimator.organ.organ_file import UNITS_M
 from softtissue_training.experiments.coordinates import COORDINATE_SYSTEMS, CoordinateSystem
 from softtissue_training.experiments.point_lists import POINT_FORMATS
 from softtissue_training.experiments.yaml_entries import Entries, read_entries

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import SoftTissueError
-from softtissue_estimator.estimator import silent
+from softtissue_estimator.estimators.estimator import silent
 from softtissue_training.evaluation.case import EvaluationCase
 from softtissue_training.evaluation.methods import Method, MethodSpec, Reading
 from softtissue_training.experiments.phantom.case import PhantomCase

@@ -11,9 +11,9 @@ from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.organ import load_organ
-from softtissue_estimator.resources import bundled_bag, bundled_organ
-from softtissue_estimator.rigid import RigidMotion
+from softtissue_estimator.observation.rigid import RigidMotion
+from softtissue_estimator.organ.organ import load_organ
+from softtissue_estimator.support.resources import bundled_bag, bundled_organ
 from softtissue_training.experiments.paired_points import PairedPoints
 from softtissue_training.experiments.phantom.case import PhantomCase, SeenSurface, Truth
 from softtissue_training.phantom.bag import (

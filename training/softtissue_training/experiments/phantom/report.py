@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from softtissue_estimator.estimator import silent
-from softtissue_estimator.mesh import vertex_areas
+from softtissue_estimator.estimators.estimator import silent
+from softtissue_estimator.organ.mesh import vertex_areas
 from softtissue_training.experiments.html_report import Cell, Picture, Report, Section, Table
 from softtissue_training.experiments.phantom.experiment import (
     Answer,

@@ -19,21 +19,21 @@ import yaml
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from softtissue_estimator.elastic.volume_mesh import VolumeMesh
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
-from softtissue_estimator.mesh import SurfaceMesh, sample_faces, vertex_areas
-from softtissue_estimator.organ import Organ, load_organ
-from softtissue_estimator.organ_file import FILE_NAME, read_organ_file
-from softtissue_estimator.rendering import vertex_normals
-from softtissue_estimator.signed_distance import signed_distance
-from softtissue_estimator.surface_patch import patch
+from softtissue_estimator.organ.mesh import SurfaceMesh, sample_faces, vertex_areas
+from softtissue_estimator.organ.organ import Organ, load_organ
+from softtissue_estimator.organ.organ_file import FILE_NAME, read_organ_file
+from softtissue_estimator.organ.signed_distance import signed_distance
+from softtissue_estimator.organ.surface_patch import patch
+from softtissue_estimator.organ.volume_mesh import VolumeMesh
+from softtissue_estimator.view.rendering import vertex_normals
 from softtissue_training.experiments.fcsv import write_fcsv
 from softtissue_training.experiments.labelled_points import LabelledPoints
 from softtissue_training.experiments.phantom.case_file import FILE_NAME as CASE_FILE_NAME
 from softtissue_training.organs.named_surface import organ_from_file
 from softtissue_training.physics.material import Material
 from softtissue_training.physics.solver import solve
-from softtissue_training.registration.coherent_point_drift import spread_points
+from softtissue_training.experiments.coherent_point_drift import spread_points
 
 FloatArray = NDArray[np.float64]
 

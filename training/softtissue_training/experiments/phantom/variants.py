@@ -12,20 +12,20 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.estimator import silent
-from softtissue_estimator.mesh import sample_faces
-from softtissue_estimator.observation import Observation, make_observation
-from softtissue_estimator.visibility import visible_fraction
+from softtissue_estimator.estimators.estimator import silent
+from softtissue_estimator.observation.observation import Observation, make_observation
+from softtissue_estimator.observation.visibility import visible_fraction
+from softtissue_estimator.organ.mesh import sample_faces
+from softtissue_estimator.registration.elastic_registration import register_elastically
+from softtissue_estimator.registration.rigid_icp import rigid_icp
 from softtissue_training.evaluation.methods import Reading
 from softtissue_training.experiments.phantom.case import PhantomCase, SeenSurface
 from softtissue_training.experiments.phantom.spread import FEWEST_POINTS, spread_correspondences
-from softtissue_training.registration.coherent_point_drift import (
+from softtissue_training.experiments.coherent_point_drift import (
     DriftSettings,
     coherent_point_drift,
     spread_points,
 )
-from softtissue_training.registration.elastic_registration import register_elastically
-from softtissue_training.registration.rigid_icp import rigid_icp
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[str], None]

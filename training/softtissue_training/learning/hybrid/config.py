@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.hybrid.input import HybridSpec
-from softtissue_estimator.hybrid.network import HybridArchitecture
+from softtissue_estimator.estimators.hybrid.input import HybridSpec
+from softtissue_estimator.estimators.hybrid.network import HybridArchitecture
 
 
 @dataclass(frozen=True)

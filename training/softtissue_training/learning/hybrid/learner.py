@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from softtissue_estimator.hybrid.network import HybridNetwork, initialise
+from softtissue_estimator.estimators.hybrid.network import HybridNetwork, initialise
 from softtissue_training.learning.distributed import Ranks
 from softtissue_training.learning.hybrid.batches import HybridBatch
 from softtissue_training.learning.hybrid.config import HybridConfig

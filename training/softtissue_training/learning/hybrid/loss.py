@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from softtissue_estimator.hybrid.input import HybridSpec, remainder, sample_field
+from softtissue_estimator.estimators.hybrid.input import HybridSpec, remainder, sample_field
 from softtissue_training.learning.hybrid.batches import HybridBatch
 from softtissue_training.learning.hybrid.config import HybridConfig
 

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye_array
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.elastic.estimator import ElasticEstimate, ElasticEstimator
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.hybrid.input import HybridSpec, hybrid_grid, posterior_cells
-from softtissue_estimator.hybrid.posterior import seen_misfit
-from softtissue_estimator.network_input import channels_on_grid
-from softtissue_estimator.organ import make_organ
+from softtissue_estimator.estimators.elastic.estimator import ElasticEstimate, ElasticEstimator
+from softtissue_estimator.estimators.hybrid.input import HybridSpec, hybrid_grid, posterior_cells
+from softtissue_estimator.estimators.hybrid.posterior import seen_misfit
+from softtissue_estimator.estimators.paper.network_input import channels_on_grid
+from softtissue_estimator.organ.organ import make_organ
 from softtissue_training.learning.hybrid.posterior_record import PosteriorCase
 from softtissue_training.learning.hybrid.views import View, ViewRecipe, draw_attachment, draw_view
 from softtissue_training.simulation.sample import Sample

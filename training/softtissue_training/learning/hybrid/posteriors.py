@@ -19,11 +19,11 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from softtissue_estimator.cache import cache_folder
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
-from softtissue_estimator.hybrid.input import HybridSpec
-from softtissue_estimator.network_input import PREPROCESSING_VERSION
+from softtissue_estimator.estimators.hybrid.input import HybridSpec
+from softtissue_estimator.estimators.paper.network_input import PREPROCESSING_VERSION
+from softtissue_estimator.support.cache import cache_folder
 from softtissue_training.core_sources import imported_sources
 from softtissue_training.learning.hybrid.posterior_case import posterior_case
 from softtissue_training.learning.hybrid.posterior_record import (
@@ -45,8 +45,11 @@ MESH_CACHE = "tetrahedra-"  # how the estimator's cache names coarse meshes
 _VERSION = 1
 # Imported by the estimator without changing what it answers.
 _WITHOUT_INFLUENCE = frozenset(
-    {"cache", "config", "errors", "estimator", "inference", "mesh_files", "mesh_io"}
-    | {"organ", "organ_checks", "organ_file", "stopwatch", "surface_repair"}
+    {"config", "errors", "estimators.estimator", "inference", "support"}
+    | {
+        f"organ.{name}"
+        for name in ("mesh_files", "mesh_io", "organ", "organ_checks", "organ_file", "surface_repair")
+    }
 )
 _ELASTIC = ("poisson_ratio", "poisson_ratio_sigma", "prior_sigma_m", "model_sigma_m", "attachment_length_m")
 _Result = tuple[str, bytes, list[str], int]
@@ -103,7 +106,7 @@ def elastic_code_hash() -> str:
     """Return a hash of the sources that decide what the elastic estimator answers, and how it is read."""
     content = hashlib.sha256()
     for module, path in imported_sources(
-        ["elastic.estimator", "hybrid.posterior"], _WITHOUT_INFLUENCE
+        ["estimators.elastic.estimator", "estimators.hybrid.posterior"], _WITHOUT_INFLUENCE
     ).items():
         content.update(module.encode() + path.read_bytes())
     return content.hexdigest()[:16]

@@ -9,16 +9,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from softtissue_estimator.elastic.volume_mesh import VolumeMesh
-from softtissue_estimator.grid import VoxelGrid
-from softtissue_estimator.hybrid.input import (
+from softtissue_estimator.estimators.hybrid.input import (
     VECTOR_CHANNELS,
     HybridSpec,
     SeenMisfit,
     assemble_hybrid_input,
     posterior_cells,
 )
-from softtissue_estimator.network_input import OrganChannels
+from softtissue_estimator.estimators.paper.grid import VoxelGrid
+from softtissue_estimator.estimators.paper.network_input import OrganChannels
+from softtissue_estimator.organ.volume_mesh import VolumeMesh
 from softtissue_training.learning.hybrid.posterior_record import PosteriorCase
 
 FloatArray = NDArray[np.float64]

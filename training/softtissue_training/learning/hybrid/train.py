@@ -12,9 +12,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from softtissue_estimator.checkpoint import read_provenance
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.hybrid.checkpoint import save_hybrid_checkpoint
+from softtissue_estimator.estimators.hybrid.checkpoint import save_hybrid_checkpoint
+from softtissue_estimator.estimators.paper.checkpoint import read_provenance
 from softtissue_training.learning.distributed import Ranks
 from softtissue_training.learning.hybrid.batches import HybridBatch, HybridBatchSource
 from softtissue_training.learning.hybrid.config import HybridConfig

@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from softtissue_estimator.hybrid.input import HybridSpec
-from softtissue_estimator.hybrid.network import HybridNetwork
+from softtissue_estimator.estimators.hybrid.input import HybridSpec
+from softtissue_estimator.estimators.hybrid.network import HybridNetwork
 from softtissue_training.learning.batch_order import slots_of
 from softtissue_training.learning.distributed import Ranks
 from softtissue_training.learning.hybrid.batches import HybridBatch, collate

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.mesh import SurfaceMesh, face_areas, sample_faces
-from softtissue_estimator.observation import Observation, make_observation
-from softtissue_estimator.organ import Organ
+from softtissue_estimator.observation.observation import Observation, make_observation
+from softtissue_estimator.organ.mesh import SurfaceMesh, face_areas, sample_faces
+from softtissue_estimator.organ.organ import Organ
 from softtissue_training.organs.surface_patch import draw_faces, resized
 
 FloatArray = NDArray[np.float64]

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 from rclpy.serialization import serialize_message
 
-from softtissue_estimator.bending_organ import BendingOrgan
-from softtissue_estimator.organ import Organ
-from softtissue_estimator.ros.conversions import make_cloud
+from softtissue_estimator.observation.bending_organ import BendingOrgan
+from softtissue_estimator.organ.organ import Organ
+from softtissue_estimator.ros.inputs.conversions import make_cloud
 
 _RECORD = np.dtype([(name, "<f4") for name in ("x", "y", "z", "ref_x", "ref_y", "ref_z")])
 

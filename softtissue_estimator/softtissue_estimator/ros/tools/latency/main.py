@@ -105,8 +105,8 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
 
 def measure(node: Any, options: argparse.Namespace, stop: StopRequest, folder: Path) -> dict[str, Any]:
     """Start everything, measure every run, print a line each; return all figures."""
-    from softtissue_estimator.resources import bundled_organ
     from softtissue_estimator.ros.tools.latency.session import Scene, open_session
+    from softtissue_estimator.support.resources import bundled_organ
 
     path = (options.organ or bundled_organ()).absolute()
     scene = Scene(1e-3 * options.amplitude, options.period, options.seed)

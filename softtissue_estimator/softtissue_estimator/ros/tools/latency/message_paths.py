@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
-from softtissue_estimator.mesh import SurfaceMesh
-from softtissue_estimator.organ import Organ, Structure, make_organ
-from softtissue_estimator.ros.answer_buffer import AnswerBuffer
-from softtissue_estimator.ros.conversions import Cloud, read_cloud
-from softtissue_estimator.ros.markers import MarkerBuffer
+from softtissue_estimator.organ.mesh import SurfaceMesh
+from softtissue_estimator.organ.organ import Organ, Structure, make_organ
+from softtissue_estimator.ros.inputs.conversions import Cloud, read_cloud
+from softtissue_estimator.ros.outputs.answer_buffer import AnswerBuffer
+from softtissue_estimator.ros.outputs.markers import MarkerBuffer
 from softtissue_estimator.ros.tools.latency import naive
 from softtissue_estimator.ros.tools.latency.clouds import moving_clouds
 from softtissue_estimator.ros.tools.latency.statistics import quantiles

@@ -11,8 +11,8 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from softtissue_estimator.organ import Organ
-from softtissue_estimator.ros.conversions import time_message
+from softtissue_estimator.organ.organ import Organ
+from softtissue_estimator.ros.inputs.conversions import time_message
 
 FloatArray = NDArray[np.float64]
 

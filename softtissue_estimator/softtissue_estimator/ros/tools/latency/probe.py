@@ -30,7 +30,7 @@ class Probe:
         from rcl_interfaces.srv import GetParameters
         from softtissue_msgs.srv import WarpPoints
 
-        from softtissue_estimator.ros.conversions import doubles
+        from softtissue_estimator.ros.inputs.conversions import doubles
 
         warp = WarpPoints.Request(points=doubles(points[:POINTS]))
         self._questions = {

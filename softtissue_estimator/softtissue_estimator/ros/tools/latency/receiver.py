@@ -90,13 +90,13 @@ class Receiver:
         return {"answers": self._answers, "markers": self._marked, "statuses": statuses}
 
     def _on_answer(self, data: bytes) -> None:
-        from softtissue_estimator.ros.serialised import read_stamp
+        from softtissue_estimator.ros.outputs.serialised import read_stamp
 
         now = time.time_ns()
         self._answers.append((read_stamp(data), now))
 
     def _on_markers(self, data: bytes) -> None:
-        from softtissue_estimator.ros.serialised import read_stamp
+        from softtissue_estimator.ros.outputs.serialised import read_stamp
 
         now = time.time_ns()
         # The number of markers (4 bytes) comes before the first one's header.
@@ -107,7 +107,7 @@ class Receiver:
 
 
 def _status(message: Any) -> dict[str, Any]:
-    from softtissue_estimator.ros.conversions import stamp_ns
+    from softtissue_estimator.ros.inputs.conversions import stamp_ns
 
     return {
         "stamp": stamp_ns(message.header.stamp),

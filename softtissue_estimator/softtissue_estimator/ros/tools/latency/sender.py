@@ -28,7 +28,7 @@ class Sender:
     Parameters
     ----------
     node : rclpy.node.Node
-    organ : softtissue_estimator.organ.Organ
+    organ : softtissue_estimator.organ.organ.Organ
     on_error : callable
         Takes what the thread raised.
     """
@@ -88,7 +88,7 @@ class Sender:
             self._on_error(error)
 
     def _send(self, count: int) -> None:
-        from softtissue_estimator.ros.serialised import with_stamp
+        from softtissue_estimator.ros.outputs.serialised import with_stamp
 
         clouds = cycle(self._clouds)
         interval = 1.0 / self._rate_hz
@@ -111,7 +111,7 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
 
     import rclpy
 
-    from softtissue_estimator.organ import load_organ
+    from softtissue_estimator.organ.organ import load_organ
 
     node = rclpy.create_node("latency_sender")
 

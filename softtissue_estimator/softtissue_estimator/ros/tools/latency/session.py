@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from softtissue_estimator.cache import cache_folder
 from softtissue_estimator.errors import SoftTissueError
-from softtissue_estimator.organ import Organ, load_organ
+from softtissue_estimator.organ.organ import Organ, load_organ
 from softtissue_estimator.ros.tools.latency.control import Remote
 from softtissue_estimator.ros.tools.latency.probe import Probe
 from softtissue_estimator.ros.tools.latency.statistics import Run, summarise
 from softtissue_estimator.ros.tools.latency.usage import cpu_share, gpu_memory_mb, usage_of
 from softtissue_estimator.ros.tools.processes import executable, process, relay
+from softtissue_estimator.support.cache import cache_folder
 
 NAMESPACE = "/latency"
 NAME = "softtissue_estimator"

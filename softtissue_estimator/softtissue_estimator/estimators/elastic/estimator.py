@@ -1,0 +1,150 @@
+"""The elastic posterior behind the interface of every estimator."""
+
+import numpy as np
+from scipy.sparse import csr_array
+from threadpoolctl import ThreadpoolController
+
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
+from softtissue_estimator.estimators.elastic.patch_average import SeenPatches, average_patches
+from softtissue_estimator.estimators.elastic.solver import Solver
+from softtissue_estimator.estimators.elastic.tracking import ElasticTracker
+from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progress, silent
+from softtissue_estimator.inference.device import choose_device, device_stopwatch, one_thread
+from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.observation.rigid import fit_rigid
+from softtissue_estimator.organ.mesh import FloatArray
+from softtissue_estimator.organ.organ import Organ
+from softtissue_estimator.organ.volume_mesh import VolumeMesh
+
+ROTATION_PRIOR_RAD = 0.5
+
+
+class ElasticEstimate(Estimate):
+    """Posterior displacement at the nodes of the coarse mesh.
+
+    Attributes
+    ----------
+    seen : SeenPatches
+        What it was conditioned on.
+    misfit : (c, 3) float64
+        Seen displacement of each of these minus the answer's, m.
+    poisson_ratio : float
+        Of the organ, as far as what is seen tells.
+    """
+
+    def __init__(
+        self,
+        model: ElasticModel,
+        seen: SeenPatches,
+        misfit: FloatArray,
+        poisson_ratio: float,
+        nodal_displacement: FloatArray,
+        nodal_sigma: FloatArray,
+        stages: dict[str, float],
+    ) -> None:
+        self.seen, self.misfit, self.poisson_ratio = seen, misfit, poisson_ratio
+        self._mesh = model.mesh
+        self._nodal_displacement = nodal_displacement
+        self._nodal_variance = nodal_sigma**2
+        self.stages = stages
+        self.displacement, self.sigma = self.interpolated(model.organ.query_points, model.query)
+
+    def displacement_at(self, points: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+        """See `Estimate.displacement_at`."""
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise InvalidInputError(
+                f"points to warp: expected finite numbers of shape (k, 3), got {points.shape}"
+            )
+        return self.interpolated(points, self._mesh.interpolation(points))
+
+    def interpolated(self, points: FloatArray, interpolation: csr_array) -> tuple[FloatArray, FloatArray]:
+        """Displacement (k, 3) m and sigma (k,) m of points that `ElasticEstimator.interpolation` has located."""
+        # Weights below zero would subtract variance outside the mesh.
+        variance = np.maximum(interpolation @ self._nodal_variance, self._nodal_variance.min())
+        return np.asarray(interpolation @ self._nodal_displacement), np.sqrt(variance)
+
+
+class ElasticEstimator(Estimator):
+    """Gaussian process on the elasticity of the deformed organ (`posterior`); fast without a GPU.
+
+    Points of one patch of surface of about 5 mm are averaged, and their average is given the error of the elastic
+    model on top of their own: however many points there are, the information of a patch saturates where the model
+    ends. Gross outliers are weighted down, within a patch by the scatter of all patches, between patches by a
+    Student distribution.
+
+    Raises
+    ------
+    InvalidInputError
+        If the device does not exist.
+    """
+
+    name = "elastic"
+
+    def __init__(self, config: EstimatorConfig) -> None:
+        self._config = config
+        self._device = choose_device(config.device)
+        self.device = str(self._device)
+        self._model: ElasticModel | None = None
+        self._tracker = ElasticTracker() if config.tracking else None
+        # On a busy machine threads that wait for each other turn milliseconds into hundreds.
+        self._threads = ThreadpoolController()
+
+    def load_organ(self, organ: Organ, progress: Progress = silent) -> None:
+        """See `Estimator.load_organ`."""
+        with self._threads.limit(limits=1, user_api="blas"):
+            self._model = build_model(organ, self._config, self._device, progress)
+        self.forget()
+
+    def forget(self) -> None:
+        """See `Estimator.forget`."""
+        if self._tracker is not None:
+            self._tracker.forget()
+
+    def close(self) -> None:
+        """See `Estimator.close`."""
+        if self._tracker is not None:
+            self._tracker.close()
+
+    @property
+    def mesh(self) -> VolumeMesh:
+        """Tetrahedra of the loaded organ: every answer's displacement and variance are linear in each of them."""
+        return self._loaded("mesh").mesh
+
+    def interpolation(self, points: FloatArray) -> csr_array:
+        """Locate points (k, 3) m of the loaded organ once, for `ElasticEstimate.interpolated` in every frame."""
+        return self._loaded("interpolation").mesh.interpolation(points)
+
+    def estimate(self, observation: Observation) -> ElasticEstimate:
+        """See `Estimator.estimate`."""
+        model = self._loaded("estimate")
+        # Matrices of a few hundred rows gain little from a second core, where another program or the tracker's thread
+        # is at work on it they wait for it ten times as long as they compute.
+        with self._threads.limit(limits=1, user_api="blas"), one_thread():
+            return self._estimate(observation, model)
+
+    def _loaded(self, before: str) -> ElasticModel:
+        if self._model is None:
+            raise InvalidInputError(f"elastic estimator: expected load_organ before {before}, got no organ")
+        return self._model
+
+    def _estimate(self, observation: Observation, model: ElasticModel) -> ElasticEstimate:
+        watch = device_stopwatch(self._device)
+        seen = average_patches(observation, model.lookup)
+        watch.lap("match")
+        least = self._config.model_sigma_m
+        motion = fit_rigid(
+            seen.reference, seen.reference + seen.displacement, seen.precision_with(least), ROTATION_PRIOR_RAD
+        )
+        watch.lap("rigid")
+        solver = Solver(model, seen, motion, self._config.prior_sigma_m, least)
+        belief = solver.solve() if self._tracker is None else self._tracker.answer(solver)
+        watch.lap("solve")
+        sigma = solver.deviation(belief)
+        watch.lap("uncertainty")
+        ratio = model.ratios.ratios[belief.ratio]
+        misfit, mean = solver.residual(belief), belief.mean.cpu().numpy()
+        estimate = ElasticEstimate(model, seen, misfit, ratio, mean, sigma, watch.stages)
+        watch.lap("warp")
+        return estimate

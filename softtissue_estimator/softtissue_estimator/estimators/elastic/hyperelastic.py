@@ -1,0 +1,308 @@
+"""Neo-Hookean tetrahedra: internal forces of a deformed organ, and the organ made linear about that deformation.
+
+W = mu/2 (tr F^T F - 3) - mu ln J + lambda/2 (ln J)^2, J = det F, the law that the simulations of `softtissue_training`
+use by default. Elements that are crushed, or turned inside out by an extrapolation, follow the corotated linear law
+W = mu |S - I|^2 + lambda/2 tr(S - I)^2, F = R S, instead: it is finite everywhere and leads them back.
+
+Everything runs on one torch device. Forces are in double precision; the stiffness, which only decides how fast the
+iteration converges, in single.
+
+The volumetric strain is averaged at the nodes (`averaged_volume`), which coarse elements of a nearly incompressible
+organ need.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.sparse import csr_array
+from torch import Tensor
+
+from softtissue_estimator.errors import OrganError
+from softtissue_estimator.estimators.elastic.averaged_volume import AveragedVolume
+from softtissue_estimator.estimators.elastic.elasticity import lame_constants, shape_gradients
+from softtissue_estimator.estimators.elastic.layered_cholesky import (
+    LayeredFactor,
+    Layers,
+    factorise,
+    layers_of,
+)
+from softtissue_estimator.organ.mesh import FloatArray
+from softtissue_estimator.organ.volume_mesh import VolumeMesh
+
+_CRUSHED = 0.2  # det F below which an element follows the corotated law
+_SMALLEST_STEP = 0.05
+_MOST_STRETCH = 2.5  # several times what tears a liver
+_TORN_SHARE = 0.002  # of the volume; single small elements turn for a step and come back
+
+
+@dataclass(frozen=True, eq=False)
+class Tangent:
+    """An organ made linear about a deformation: displacement = offset + response a for loads B a.
+
+    Parameters
+    ----------
+    state : (n, 3) float64 m
+        Displacement about which it is linear.
+    offset : (n, 3) float64 m
+        Displacement without loads, to first order.
+    response : (3 n, 3 p) float32
+        K^-1 (B (x) I_3): displacement by unit loads; component a of node i is row 3 i + a.
+    """
+
+    state: Tensor
+    offset: Tensor
+    response: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class RestingBody:
+    """A body at rest made linear, and so about every rigid motion: the stiffness of a body that is turned is turned.
+
+    Parameters
+    ----------
+    springs : (n, n) float64
+        As in `HyperelasticBody`.
+    factor : LayeredFactor
+        Of the stiffness, float32.
+    response : (3 n, 3 p) float32
+        Displacement by unit loads.
+    """
+
+    springs: Tensor
+    factor: LayeredFactor
+    response: Tensor
+
+    def linearise_moved(self, rotation: Tensor, state: Tensor, rest: Tensor) -> Tangent:
+        """Make the body linear about a rigid motion, without a factorisation. Loads are turned with it.
+
+        Parameters
+        ----------
+        rotation : (3, 3) float64
+        state : (n, 3) float64 m
+            Displacement by the motion.
+        rest : (n, 3) float64 m
+            Displacement at which the springs are at rest.
+        """
+        count = len(state)
+        force = (self.springs @ (state - rest)) @ rotation
+        step = self.factor.solve(force.float().reshape(-1, 1))
+        offset = state - step.double().reshape(-1, 3) @ rotation.T
+        by_node = self.response.view(count, 3, -1)
+        turned = torch.einsum("ab,nbk->nak", rotation.float(), by_node).reshape(3 * count, -1)
+        return Tangent(state, offset, turned)
+
+
+@dataclass(frozen=True, eq=False)
+class _Elements:
+    """What forces and stiffness of all elements are made of.
+
+    Parameters
+    ----------
+    stress : (m, 3, 3) float64
+        First Piola-Kirchhoff stress over Young's modulus.
+    spatial : (m, 4, 3) float64
+        a: gradients of the shape functions in space.
+    coefficient : (m,) float64
+        c: the stiffness between corners i and j is V (c a_j a_i^T + mu g_i . g_j I), and lambda's part.
+    own : (m,) bool
+        Elements whose lambda's part is their own, V lambda a_i a_j^T; that of the others is averaged.
+    """
+
+    stress: Tensor
+    spatial: Tensor
+    coefficient: Tensor
+    own: Tensor
+
+
+class HyperelasticBody:
+    """Tetrahedra with Young's modulus one, held by springs between its nodes and places in space.
+
+    Poisson's ratio is said with every question, because it need not be known.
+
+    Parameters
+    ----------
+    mesh : VolumeMesh
+    springs : (n, n) 1/m
+        Stiffness of the springs over Young's modulus, symmetric; they act on each component alike.
+    loads : (n, p)
+        B: nodal forces of unit loads, for each component.
+    device : torch.device
+    """
+
+    def __init__(
+        self, mesh: VolumeMesh, springs: FloatArray, loads: FloatArray, device: torch.device
+    ) -> None:
+        self.count = len(mesh.nodes)
+        self._nodes = torch.from_numpy(mesh.nodes).to(device)
+        self._tets = torch.from_numpy(mesh.tets).to(device)
+        self._gradients = torch.from_numpy(shape_gradients(mesh)).to(device)  # (m, 4, 3)
+        self._volumes = torch.from_numpy(mesh.volumes).to(device)
+        self._springs = torch.from_numpy(np.ascontiguousarray(springs)).to(device)
+        self._loads = torch.kron(torch.from_numpy(loads).float(), torch.eye(3)).to(device)
+        self._identity = torch.eye(3, dtype=torch.float64, device=device)
+        self._layers = _layers(mesh, springs)
+        self._averaged = AveragedVolume(mesh, self._layers, device)
+        dof = 3 * mesh.tets[:, :, None] + np.arange(3)  # (m, 4, 3)
+        rows, columns = np.broadcast_arrays(dof[:, :, :, None, None], dof[:, None, None])
+        self._entry = torch.from_numpy(self._layers.positions(rows.reshape(-1), columns.reshape(-1))).to(
+            device
+        )
+        # What every tangent shares: the springs, and mu times V g_i . g_j on the diagonal of each block.
+        weighted = self._gradients * self._volumes[:, None, None]
+        dots = torch.einsum("eia,eja->eij", weighted, self._gradients)
+        shared = torch.einsum("eij,ab->eiajb", dots, self._identity).float().reshape(-1)
+        springs_of_all = np.asarray(np.kron(springs, np.eye(3)), dtype=np.float64)
+        self._held = torch.from_numpy(self._layers.store(springs_of_all)).float().to(device)
+        self._sheared = torch.zeros_like(self._held).index_add_(0, self._entry, shared)
+
+    def deformation_gradient(self, displacement: Tensor) -> Tensor:
+        """F of every tetrahedron, (m, 3, 3), for nodal displacement (n, 3) m."""
+        return torch.einsum("eia,eib->eab", (self._nodes + displacement)[self._tets], self._gradients)
+
+    def at_rest(self, poisson_ratio: float) -> RestingBody:
+        """Make the body linear about rest.
+
+        Parameters
+        ----------
+        poisson_ratio : float
+            From 0 to below 0.5.
+
+        Raises
+        ------
+        InvalidInputError
+            For another Poisson's ratio.
+        OrganError
+            If the stiffness cannot be factorised: nothing holds the body.
+        """
+        law = lame_constants(poisson_ratio)
+        elements = self._neo_hookean(self.deformation_gradient(torch.zeros_like(self._nodes)), *law)
+        factor = self._factor(elements, *law)
+        if factor is None:
+            raise OrganError("elastic model: expected a stiffness that can be factorised, got a singular one")
+        return RestingBody(self._springs, factor, factor.solve(self._loads))
+
+    def linearise(self, state: Tensor, rest: Tensor, poisson_ratio: float) -> Tangent:
+        """Make the body linear about a displacement.
+
+        Parameters
+        ----------
+        state : (n, 3) float64 m
+        rest : (n, 3) float64 m
+            Displacement at which the springs are at rest.
+        poisson_ratio : float
+            From 0 to below 0.5.
+
+        Raises
+        ------
+        InvalidInputError
+            For another Poisson's ratio.
+        OrganError
+            If no stiffness of this body can be factorised, which springs that hold it prevent.
+        """
+        law = lame_constants(poisson_ratio)
+        gradient = self.deformation_gradient(state)
+        elements = self._neo_hookean(gradient, *law)
+        force = self._nodal_force(elements.stress) + self._springs @ (state - rest)
+        factor = self._factor(elements, *law)
+        if factor is None:
+            # Compressed or overstretched so far that it would buckle; the corotated stiffness is always positive.
+            factor = self._factor(self._corotated(gradient, self._gradients, *law), *law)
+        if factor is None:
+            raise OrganError("elastic model: expected a stiffness that can be factorised, got a singular one")
+        step = factor.solve(force.float().reshape(-1, 1))
+        offset = state - step.double().reshape(-1, 3)
+        return Tangent(state, offset, factor.solve(self._loads))
+
+    def is_torn(self, displacement: Tensor) -> bool:
+        """Tell whether a displacement (n, 3) m does to more than a few elements what no tissue endures.
+
+        They are turned inside out, or as long as an incompressible element that is stretched `_MOST_STRETCH` times.
+        """
+        gradient = self.deformation_gradient(displacement)
+        inverted = determinant(gradient) < 0.0
+        length = gradient.square().sum(dim=(1, 2))  # of the principal stretches, squared
+        impossible = inverted | (length > _MOST_STRETCH**2 + 2.0 / _MOST_STRETCH)
+        return bool(self._volumes[impossible].sum() > _TORN_SHARE * self._volumes.sum())
+
+    def guarded(self, start: Tensor, end: Tensor) -> Tensor:
+        """Go from one displacement (n, 3) m towards another, as far as no sound element is crushed on the way."""
+        before = determinant(self.deformation_gradient(start))
+        sound = before > _CRUSHED
+        share = 1.0
+        while share > _SMALLEST_STEP:
+            state = start + share * (end - start)
+            after = determinant(self.deformation_gradient(state))
+            if not bool((sound & (after < 0.5 * _CRUSHED)).any()):
+                return state
+            share *= 0.7
+        return start + share * (end - start)
+
+    def _neo_hookean(self, gradient: Tensor, lame: float, shear: float) -> _Elements:
+        crushed = determinant(gradient) < _CRUSHED
+        sound = torch.where(crushed[:, None, None], self._identity, gradient)
+        inverse = torch.linalg.inv(sound)
+        coefficient = shear - self._averaged.pressure(torch.log(determinant(sound)), lame)
+        stress = shear * sound - coefficient[:, None, None] * inverse.transpose(1, 2)
+        elements = _Elements(stress, self._gradients @ inverse, coefficient, crushed)
+        if bool(crushed.any()):
+            other = self._corotated(gradient[crushed], self._gradients[crushed], lame, shear)
+            elements.stress[crushed] = other.stress
+            elements.spatial[crushed] = other.spatial
+            elements.coefficient[crushed] = other.coefficient
+        return elements
+
+    def _corotated(self, gradient: Tensor, shape_gradient: Tensor, lame: float, shear: float) -> _Elements:
+        """Do as `_neo_hookean` for the corotated law, the change of the rotation left out of the stiffness."""
+        left, _, right = torch.linalg.svd(gradient)
+        # A rotation, not a reflection: the direction that is compressed most is turned.
+        left[:, :, 2] *= determinant(left @ right)[:, None]
+        turn = left @ right
+        strain = turn.transpose(1, 2) @ gradient - self._identity
+        strain = 0.5 * (strain + strain.transpose(1, 2))
+        trace = strain.diagonal(dim1=1, dim2=2).sum(dim=1)
+        inner = 2.0 * shear * strain + (lame * trace)[:, None, None] * self._identity
+        spatial = shape_gradient @ turn.transpose(1, 2)
+        own = torch.ones_like(trace, dtype=torch.bool)
+        return _Elements(turn @ inner, spatial, torch.full_like(trace, shear), own)
+
+    def _nodal_force(self, stress: Tensor) -> Tensor:
+        corner = torch.einsum("eab,eib->eia", stress * self._volumes[:, None, None], self._gradients)
+        force = torch.zeros_like(self._nodes)
+        return force.index_add_(0, self._tets.reshape(-1), corner.reshape(-1, 3))
+
+    def _factor(self, elements: _Elements, lame: float, shear: float) -> LayeredFactor | None:
+        return factorise(self._layers, self._stiffness(elements, lame, shear))
+
+    def _stiffness(self, elements: _Elements, lame: float, shear: float) -> Tensor:
+        spatial = elements.spatial.float()
+        weighted = spatial * self._volumes.float()[:, None, None]
+        products = torch.einsum("eia,ejb->eiajb", weighted, spatial)
+        entries = products.permute(0, 1, 4, 3, 2) * elements.coefficient.float()[:, None, None, None, None]
+        own = elements.own
+        if bool(own.any()):
+            entries[own] += lame * products[own]
+            weighted[own] = 0.0
+        stiffness = torch.add(self._held, self._sheared, alpha=shear)
+        stiffness.index_add_(0, self._entry, entries.reshape(-1))
+        self._averaged.add_stiffness(stiffness, weighted, lame)
+        return stiffness
+
+
+def _layers(mesh: VolumeMesh, springs: FloatArray) -> Layers:
+    """Order the nodes for the stiffness, which joins all nodes around a node."""
+    rows, columns = np.repeat(mesh.tets, 4, axis=1).reshape(-1), np.tile(mesh.tets, (1, 4)).reshape(-1)
+    around = csr_array((np.ones(len(rows)), (rows, columns)), shape=springs.shape)
+    return layers_of(csr_array(around @ around + csr_array(np.abs(springs))), 3)
+
+
+def determinant(matrices: Tensor) -> Tensor:
+    """Return the determinants (m,) of matrices (m, 3, 3), without a factorisation, which takes longer."""
+    first, second, third = matrices.unbind(1)
+    found: Tensor = (first * torch.linalg.cross(second, third)).sum(dim=1)
+    return found
+
+
+def to_tensor(values: FloatArray, device: torch.device) -> Tensor:
+    """Copy an array to a device, in double precision."""
+    return torch.from_numpy(np.array(values, dtype=np.float64)).to(device)

@@ -1,0 +1,125 @@
+"""What an organ needs computed once for the elastic posterior: tetrahedra, springs that hold it, possible loads."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.sparse import csr_array
+
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.estimators.elastic.elasticity import nodal_volumes
+from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody, RestingBody
+from softtissue_estimator.estimators.elastic.loads import load_basis
+from softtissue_estimator.estimators.elastic.tissue import RatioPrior, ratio_prior
+from softtissue_estimator.estimators.estimator import Progress
+from softtissue_estimator.organ.mesh import FloatArray, IntArray, vertex_areas
+from softtissue_estimator.organ.organ import Organ
+from softtissue_estimator.organ.surface_lookup import SurfaceLookup
+from softtissue_estimator.organ.volume_mesh import VolumeMesh, tetrahedralise
+from softtissue_estimator.support.cache import Arrays, cached_arrays
+
+_VERSION = 3  # of what is cached
+_GROUND_SHARE_HELD = 1e-5
+_GROUND_SHARE_FREE = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticModel:
+    """An organ as the elastic estimator sees it.
+
+    Parameters
+    ----------
+    organ : Organ
+    lookup : SurfaceLookup
+    mesh : VolumeMesh
+    body : HyperelasticBody
+    resting : RestingBody
+        With the expected Poisson's ratio.
+    ratios : RatioPrior
+        What Poisson's ratio may be.
+    sample_tet : (s,) int64
+        Tetrahedron of every sample of the lookup.
+    query : (q, n) sparse
+        Interpolation from the nodes to `organ.query_points`.
+    device : torch.device
+        Where the body is.
+    """
+
+    organ: Organ
+    lookup: SurfaceLookup
+    mesh: VolumeMesh
+    body: HyperelasticBody
+    resting: RestingBody
+    ratios: RatioPrior
+    sample_tet: IntArray
+    query: csr_array
+    device: torch.device
+
+    def surface_interpolation(self, points: FloatArray) -> csr_array:
+        """Interpolate from the nodes to points (k, 3) m near the surface, (k, n); one table access a point."""
+        return self.mesh.interpolation_in(points, self.sample_tet[self.lookup.nearest_sample(points)])
+
+
+def build_model(
+    organ: Organ, config: EstimatorConfig, device: torch.device, progress: Progress
+) -> ElasticModel:
+    """Prepare an organ: seconds the first time, afterwards the tetrahedra come from the cache.
+
+    Another attached region of the same organ keeps the tetrahedra and takes a fraction of a second.
+
+    Raises
+    ------
+    MeshError
+        If the organ cannot be filled with tetrahedra.
+    """
+    if not organ.attached.any():
+        progress(
+            "the organ is attached nowhere: it follows the rigid motion of what is seen, and bends freely"
+        )
+    # By the surface and the query points alone: another attached region keeps the mesh.
+    stored = cached_arrays("tetrahedra", organ.geometry_digest, _VERSION, {}, lambda: _fill(organ, progress))
+    mesh = VolumeMesh(stored["nodes"], stored["tets"])
+    attached = mesh.interpolation(organ.surface.vertices[organ.attached])
+    areas = vertex_areas(organ.surface)[organ.attached]
+    held = _springs(mesh, attached, areas / config.attachment_length_m)
+    loads = load_basis(mesh, np.asarray(attached.T @ areas))
+    body = HyperelasticBody(mesh, held, loads, device)
+    resting = body.at_rest(config.poisson_ratio)
+    ratios = ratio_prior(config.poisson_ratio, config.poisson_ratio_sigma)
+    query = mesh.interpolation_in(organ.query_points, stored["query_tet"])
+    return ElasticModel(
+        organ, organ.surface_lookup, mesh, body, resting, ratios, stored["sample_tet"], query, device
+    )
+
+
+def _springs(mesh: VolumeMesh, attached: csr_array, stiffness: FloatArray) -> FloatArray:
+    """Stiffness of the springs that hold an organ, over Young's modulus, (n, n) 1/m.
+
+    Attached surface is held by springs as stiff as the organ's own tissue of the given thickness, which sees an
+    attached region finer than the coarse mesh does and needs no node exactly on its edge. Weak springs between the
+    organ and its surroundings keep rigid motions finite. Where nothing is attached they are all that holds; an organ
+    then follows the rigid motion of what is seen.
+
+    Parameters
+    ----------
+    attached : (a, n) sparse
+        Interpolation from the nodes to the attached vertices; a may be 0.
+    stiffness : (a,) m
+        Attached area over the thickness, of each of these.
+    """
+    held = (attached.T @ attached.multiply(stiffness[:, None])).toarray()
+    ground = _GROUND_SHARE_HELD if len(stiffness) else _GROUND_SHARE_FREE
+    # Per volume, Young's modulus over the square of the organ's size is the stiffness of the organ itself.
+    held[np.diag_indices(len(held))] += nodal_volumes(mesh) * (ground / mesh.volumes.sum() ** (2.0 / 3.0))
+    return np.asarray(held, dtype=np.float64)
+
+
+def _fill(organ: Organ, progress: Progress) -> Arrays:
+    mesh = tetrahedralise(organ.surface, progress)
+    progress(f"finding where the organ's points lie in {len(mesh.tets)} tetrahedra")
+    return {
+        "nodes": mesh.nodes,
+        "tets": mesh.tets,
+        "sample_tet": mesh.locate(organ.surface_lookup.samples),
+        "query_tet": mesh.locate(organ.query_points),
+    }

@@ -1,0 +1,99 @@
+"""Tracked points averaged over small patches of surface, gross outliers weighted down."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csc_array
+
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.organ.mesh import FloatArray, IntArray, sum_by_index
+from softtissue_estimator.organ.surface_lookup import SurfaceLookup
+
+_SMALLEST_SIGMA_M = 1e-5
+_OUTLIER_FACTOR = 6.0
+_STUDENT_FREEDOM = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPatches:
+    """Observations of one small patch of surface each, averaged.
+
+    Parameters
+    ----------
+    reference, displacement : (c, 3) m
+    precision : (c,) 1/m^2
+        Inverse variance of each component of the average.
+    """
+
+    reference: FloatArray
+    displacement: FloatArray
+    precision: FloatArray
+
+    def precision_with(self, model_sigma_m: float) -> FloatArray:
+        """Inverse variance (c,) 1/m^2 where all points of a patch share an error of the model."""
+        return np.asarray(1.0 / (1.0 / self.precision + model_sigma_m**2))
+
+
+def average_patches(observation: Observation, lookup: SurfaceLookup) -> SeenPatches:
+    """Average the points of each patch of about 5 mm.
+
+    Raises
+    ------
+    InvalidInputError
+        If a point is out of the surface's reach.
+    """
+    sample = observation.nearest_sample(lookup)
+    if (sample < 0).any():
+        raise InvalidInputError(
+            f"observation: expected reference points near the preoperative surface, got {int((sample < 0).sum())} "
+            f"of {len(sample)} out of reach"
+        )
+    patch = lookup.patch.take(sample)
+    count = len(lookup.patch_areas)
+    weight = 1.0 / np.square(np.maximum(observation.sigma, _SMALLEST_SIGMA_M))
+    moved = observation.displacement
+    robust = weight
+    total, mean = _weighted_means(patch, weight, moved, count)
+    deviation = _deviation(moved, mean, patch, weight)
+    # The scatter within patches tells gross outliers from noise.
+    limit = _OUTLIER_FACTOR
+    if deviation.max() > limit:
+        limit *= max(1.0, float(np.median(deviation)))
+    for _ in range(2):
+        if deviation.max() <= limit:
+            break
+        robust = weight / (1.0 + (deviation / limit) ** 4)
+        total, mean = _weighted_means(patch, robust, moved, count)
+        deviation = _deviation(moved, mean, patch, weight)
+    _, place = _weighted_means(patch, robust, observation.reference, count)
+    seen = total > 0.0
+    return SeenPatches(place[seen], mean[seen], total[seen])
+
+
+def student_weights(residual: FloatArray, precision: FloatArray) -> FloatArray:
+    """Weights of a Student distribution for residuals (c, 3) m, (c,), one where the residual is as expected.
+
+    The scale is that of the median residual, if that is larger than expected.
+    """
+    squared = np.einsum("cd,cd->c", residual, residual) * precision / 3.0
+    scale = max(1.0, float(np.median(squared)))
+    return np.asarray((_STUDENT_FREEDOM + 3.0) / (_STUDENT_FREEDOM + 3.0 * squared / scale)).clip(max=1.0)
+
+
+def _weighted_means(
+    group: IntArray, weight: FloatArray, values: FloatArray, count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Sum of the weights and weighted mean of the values (n, 3) of every group, (count,) and (count, 3)."""
+    # One nonzero a column: the product runs through the points once, as they lie in memory.
+    spread = csc_array((weight, group, np.arange(len(group) + 1)), shape=(count, len(group)))
+    total = sum_by_index(group, weight, count)
+    return total, (spread @ values) / np.maximum(total, 1e-300)[:, None]
+
+
+def _deviation(values: FloatArray, mean: FloatArray, group: IntArray, weight: FloatArray) -> FloatArray:
+    """Distance of each of the values (n, 3) to its group's mean, over the standard deviation, (n,)."""
+    offset = mean.take(group, axis=0)
+    np.subtract(values, offset, out=offset)
+    np.square(offset, out=offset)
+    return np.asarray(np.sqrt((offset @ np.ones(3)) * weight))

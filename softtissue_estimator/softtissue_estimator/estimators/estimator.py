@@ -1,0 +1,158 @@
+"""What every estimator offers; the only part of the core that a node has to know."""
+
+import importlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.organ.organ import Organ
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[str], None]
+Factory = Callable[[EstimatorConfig], "Estimator"]
+
+
+def silent(message: str) -> None:
+    """Progress callback that says nothing."""
+
+
+class Estimate(ABC):
+    """Answer to one observation. Positions and displacements are in the organ's frame, in metres.
+
+    Attributes
+    ----------
+    displacement : (q, 3) float64
+        Intraoperative minus preoperative position of `Organ.query_points`, m.
+    sigma : (q,) float64 or None
+        Predicted standard deviation of each component of `displacement`, m; None if the estimator gives none.
+    stages : dict
+        Seconds that each stage took, in order.
+    """
+
+    displacement: FloatArray
+    sigma: FloatArray | None
+    stages: dict[str, float]
+
+    @abstractmethod
+    def displacement_at(self, points: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+        """Displacement of any preoperative points.
+
+        Parameters
+        ----------
+        points : (k, 3) float64
+            Preoperative positions, m, organ frame.
+
+        Returns
+        -------
+        displacement : (k, 3) float64, m
+        sigma : (k,) float64, m, or None
+        """
+
+
+class Estimator(ABC):
+    """Estimates where the inside of an organ is from what is seen of its surface.
+
+    Attributes
+    ----------
+    name : str
+        As in the parameter `estimator`.
+    device : str
+        Where it computes, for example 'cpu' or 'cuda:0'.
+    """
+
+    name: str
+    device: str
+
+    @abstractmethod
+    def load_organ(self, organ: Organ, progress: Progress = silent) -> None:
+        """Prepare for an organ: seconds the first time, less afterwards because slow results are cached.
+
+        Parameters
+        ----------
+        organ : Organ
+        progress : callable
+            Told in a sentence what is going on, whenever something slow begins.
+
+        Raises
+        ------
+        SoftTissueError
+            If the organ cannot be used; the organ loaded before stays in use.
+        """
+
+    @abstractmethod
+    def estimate(self, observation: Observation) -> Estimate:
+        """Answer one observation.
+
+        Raises
+        ------
+        InvalidInputError
+            If no organ is loaded or the observation cannot be used.
+        """
+
+    def forget(self) -> None:  # noqa: B027 (most estimators remember nothing)
+        """Forget earlier observations, where an estimator answers each about the one before."""
+
+    def close(self) -> None:  # noqa: B027
+        """End what runs in the background; nothing may be asked afterwards."""
+
+
+def _elastic(config: EstimatorConfig) -> Estimator:
+    return _construct("elastic.estimator", "ElasticEstimator", config)
+
+
+def _paper(config: EstimatorConfig) -> Estimator:
+    return _construct("paper_estimator", "PaperEstimator", config)
+
+
+def _hybrid(config: EstimatorConfig) -> Estimator:
+    return _construct("hybrid.estimator", "HybridEstimator", config)
+
+
+def _construct(module: str, name: str, config: EstimatorConfig) -> Estimator:
+    # Imported only when asked for: the elastic estimator must not wait for networks.
+    factory: Factory = getattr(importlib.import_module(f"softtissue_estimator.{module}"), name)
+    return factory(config)
+
+
+_factories: dict[str, Factory] = {"elastic": _elastic, "hybrid": _hybrid, "paper": _paper}
+
+
+def register_estimator(name: str, factory: Factory) -> None:
+    """Make `create_estimator` know another estimator.
+
+    Raises
+    ------
+    InvalidInputError
+        If the name is taken.
+    """
+    if name in _factories:
+        raise InvalidInputError(f"estimator name: expected one that is not in use, got {name!r}")
+    _factories[name] = factory
+
+
+def estimator_names() -> tuple[str, ...]:
+    """Return the names that `create_estimator` knows, sorted."""
+    return tuple(sorted(_factories))
+
+
+def create_estimator(config: EstimatorConfig) -> Estimator:
+    """Make the estimator that `config.estimator` names.
+
+    Raises
+    ------
+    InvalidInputError
+        If no estimator has that name.
+    SoftTissueError
+        If the estimator cannot start, for example because its weights are damaged.
+    """
+    factory = _factories.get(config.estimator)
+    if factory is None:
+        raise InvalidInputError(
+            f"parameter estimator: expected one of {', '.join(estimator_names())}, got {config.estimator!r}"
+        )
+    return factory(config)

@@ -1,0 +1,209 @@
+"""From an organ and an observation to the tensor that a network reads: the only implementation, for training and use.
+
+Channel order and scales follow the paper (section "Grid"): signed distance and zero-displacement flag are multiplied by
+0.1, everything is in metres. A network may carry a further common factor (`NetworkSpec.input_scales`), which is the
+same function of its inputs with a better conditioned first layer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from softtissue_estimator.estimators.paper.grid import VoxelGrid
+from softtissue_estimator.estimators.paper.network import UNetArchitecture
+from softtissue_estimator.estimators.paper.rasterise import rasterise
+from softtissue_estimator.organ.mesh import SurfaceMesh, sample_faces
+from softtissue_estimator.organ.organ import Organ
+from softtissue_estimator.organ.signed_distance import signed_distance
+from softtissue_estimator.support.cache import Arrays, cached_arrays
+
+FloatArray = NDArray[np.float64]
+
+CHANNELS = (
+    "signed_distance",
+    "visible_displacement_x",
+    "visible_displacement_y",
+    "visible_displacement_z",
+    "zero_displacement",
+)
+PREPROCESSING_VERSION = 1  # raise it whenever the channels of an organ change: caches depend on it
+PAPER_SCALES = (0.1, 1.0, 1.0, 1.0, 0.1)
+COMMON_FACTOR = 50.0  # one network unit is then 20 mm, near the displacements that are to be told apart
+
+
+@dataclass(frozen=True)
+class NetworkSpec:
+    """What a network needs to know about its input; stored in its checkpoint, never a parameter.
+
+    Attributes
+    ----------
+    spacing
+        Distance between cell centres, metres.
+    channels
+        Names of the input channels, in order.
+    input_scales
+        Factor of each channel, from SI units to the network's.
+    output_scale
+        Metres of displacement per unit of output.
+    cube_side_m
+        Side of the cube that the network was trained on; 0 if it was trained on the organ's bounding box.
+    margin_cells
+        Free cells on each side of the organ's bounding box.
+    architecture
+        Shapes of the weights.
+    """
+
+    spacing: float = 0.30 / 64
+    channels: tuple[str, ...] = CHANNELS
+    input_scales: tuple[float, ...] = tuple(scale * COMMON_FACTOR for scale in PAPER_SCALES)
+    output_scale: float = 1.0 / COMMON_FACTOR
+    cube_side_m: float = 0.0
+    margin_cells: int = 2
+    architecture: UNetArchitecture = UNetArchitecture()
+
+
+@dataclass(frozen=True)
+class OrganChannels:
+    """The part of the input that does not change from frame to frame.
+
+    Attributes
+    ----------
+    grid
+        The organ's grid.
+    signed_distance
+        (X, Y, Z) float32 metres, positive outside.
+    zero_displacement
+        (X, Y, Z) float32, 1 on attached surface and 0 elsewhere.
+    """
+
+    grid: VoxelGrid
+    signed_distance: Tensor
+    zero_displacement: Tensor
+
+    @property
+    def organ_mask(self) -> Tensor:
+        """(X, Y, Z) bool, true inside the organ."""
+        return self.signed_distance <= 0.0
+
+    def to(self, device: str | torch.device) -> OrganChannels:
+        """Return the same channels on another device."""
+        return OrganChannels(self.grid, self.signed_distance.to(device), self.zero_displacement.to(device))
+
+
+def organ_grid(surface: SurfaceMesh, spec: NetworkSpec) -> VoxelGrid:
+    """Return the grid on which a network of this specification sees the organ.
+
+    A network trained on the cube sees the cube, or, for an organ that does not fit into it, the smallest box that does.
+    """
+    lower, upper = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    if spec.cube_side_m > 0.0:
+        half = 0.5 * (spec.cube_side_m - spec.spacing)  # from the middle to the outermost cell centres
+        middle = 0.5 * (lower + upper)
+        lower, upper = np.minimum(lower, middle - half), np.maximum(upper, middle + half)
+        return VoxelGrid.covering(
+            lower + 1e-9, upper - 1e-9, spec.spacing, multiple=spec.architecture.multiple, margin_cells=0
+        )
+    return VoxelGrid.covering(
+        lower, upper, spec.spacing, multiple=spec.architecture.multiple, margin_cells=spec.margin_cells
+    )
+
+
+def organ_channels(surface: SurfaceMesh, attached: NDArray[np.bool_], spec: NetworkSpec) -> OrganChannels:
+    """Compute signed distance and zero-displacement flag of an organ on its grid.
+
+    Parameters
+    ----------
+    surface
+        Preoperative surface, metres.
+    attached
+        (n,) true for the attached vertices of the surface.
+    """
+    return channels_on_grid(organ_grid(surface, spec), surface, attached)
+
+
+def cached_channels(organ: Organ, grid: VoxelGrid) -> OrganChannels:
+    """Return signed distance and zero-displacement flag of an organ on a grid, kept in the user's cache."""
+
+    def compute() -> Arrays:
+        channels = channels_on_grid(grid, organ.surface, organ.attached)
+        return {
+            "signed_distance": channels.signed_distance.numpy(),
+            "zero_displacement": channels.zero_displacement.numpy(),
+        }
+
+    parameters: dict[str, float | int | str | bool] = {
+        "spacing": grid.spacing,
+        "shape": str(grid.shape),
+        "origin": str(grid.origin),
+    }
+    stored = cached_arrays("channels", organ.digest, PREPROCESSING_VERSION, parameters, compute)
+    return OrganChannels(
+        grid, torch.from_numpy(stored["signed_distance"]), torch.from_numpy(stored["zero_displacement"])
+    )
+
+
+def channels_on_grid(grid: VoxelGrid, surface: SurfaceMesh, attached: NDArray[np.bool_]) -> OrganChannels:
+    """Compute signed distance and zero-displacement flag on a given grid; parameters as of `organ_channels`."""
+    distance = torch.from_numpy(signed_distance(surface, grid.points())).float().reshape(grid.shape)
+    return OrganChannels(grid, distance, zero_displacement(grid, surface, attached))
+
+
+def zero_displacement(grid: VoxelGrid, surface: SurfaceMesh, attached: NDArray[np.bool_]) -> Tensor:
+    """Return z(p): (X, Y, Z) float32, 1 in cells near attached surface, else 0."""
+    # Sampled at half a cell so that the flag is closed however coarse the triangles are.
+    inner_faces = np.all(attached[surface.faces], axis=1)
+    samples = sample_faces(surface, inner_faces, 0.5 * grid.spacing)[0]
+    points = torch.from_numpy(np.concatenate([surface.vertices[attached], samples])).double()
+    return rasterise(grid, points, torch.ones(len(points), 1))[1].float()
+
+
+def visible_displacement(
+    grid: VoxelGrid, reference: Tensor, displacement: Tensor, sigma: Tensor | None = None
+) -> Tensor:
+    """Return u_vis(p): (X, Y, Z, 3) float32 metres, zero where nothing was seen.
+
+    Parameters
+    ----------
+    reference
+        (n, 3) preoperative positions of tracked points, metres.
+    displacement
+        (n, 3) metres.
+    sigma
+        (n,) standard deviations, metres: nearby points are averaged with weights 1 / sigma^2. Equal if None.
+    """
+    weights = None if sigma is None else sigma.double().clamp_min(1e-5).pow(-2)
+    return rasterise(grid, reference, displacement.float(), weights)[0]
+
+
+def assemble_input(channels: OrganChannels, visible: Tensor, spec: NetworkSpec) -> Tensor:
+    """Stack and scale the channels of one organ.
+
+    Parameters
+    ----------
+    visible
+        (X, Y, Z, 3) visible displacement, metres.
+
+    Returns
+    -------
+    Tensor
+        (1, 5, X, Y, Z) float32, on the device of the channels.
+    """
+    parts = (channels.signed_distance, *visible.unbind(-1), channels.zero_displacement)
+    # Numbers instead of a tensor of them, which would be copied to the device in every frame.
+    scaled = [part * scale for part, scale in zip(parts, spec.input_scales, strict=True)]
+    return to_batch(torch.stack(scaled, dim=-1))
+
+
+def to_batch(grid_values: Tensor) -> Tensor:
+    """Turn (X, Y, Z, C) into (1, C, X, Y, Z), the only place where this happens."""
+    return grid_values.permute(3, 0, 1, 2).unsqueeze(0).contiguous()
+
+
+def from_batch(batch_values: Tensor) -> Tensor:
+    """Turn (1, C, X, Y, Z) back into (X, Y, Z, C)."""
+    return batch_values.squeeze(0).permute(1, 2, 3, 0)

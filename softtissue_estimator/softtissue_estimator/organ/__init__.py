@@ -1,0 +1,1 @@
+"""The organ as scanned: files, checks, repair, surfaces and tetrahedra."""

@@ -1,0 +1,74 @@
+"""Executable `check_organ`: reads an organ folder as the node does and says what it found, repaired or cannot use."""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from softtissue_estimator.errors import SoftTissueError
+from softtissue_estimator.organ.mesh import enclosed_volume, face_areas, vertex_areas
+from softtissue_estimator.organ.organ import Organ, load_organ
+from softtissue_estimator.organ.organ_checks import share_inside
+from softtissue_estimator.organ.volume_mesh import tetrahedralise
+from softtissue_estimator.support.log_lines import log_lines
+
+
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(
+        prog="check_organ",
+        description="Read an organ folder as the node does; exit code 2 if it cannot be used.",
+    )
+    parser.add_argument("organ", type=Path, help="folder with organ.yaml")
+    parser.add_argument(
+        "--no-tetrahedra",
+        action="store_true",
+        help="do not fill it with tetrahedra, which takes some seconds",
+    )
+    return parser.parse_args(arguments)
+
+
+def describe(organ: Organ) -> Iterator[str]:
+    """Yield lines that say what an organ is; lengths in mm."""
+    size = " x ".join(f"{1e3 * length:.0f}" for length in np.ptp(organ.surface.vertices, axis=0))
+    yield f"organ: {organ.name}, frame {organ.frame}"
+    yield (
+        f"surface: {len(organ.surface.vertices)} vertices, {len(organ.surface.faces)} triangles, "
+        f"{1e3 * enclosed_volume(organ.surface):.3g} litres, {1e4 * face_areas(organ.surface).sum():.0f} cm^2, "
+        f"{size} mm"
+    )
+    areas = vertex_areas(organ.surface)
+    share = 100.0 * areas[organ.attached].sum() / areas.sum()
+    yield f"attached: {organ.attached.sum()} vertices, {share:.1f} % of the surface"
+    for structure in organ.structures:
+        inside = 100.0 * share_inside(organ.surface, structure.mesh.vertices)
+        yield (
+            f"structure: {structure.name} ({structure.kind}), {len(structure.mesh.vertices)} vertices, "
+            f"{inside:.0f} % inside"
+        )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Check the folder that the command line names."""
+    options = parse(sys.argv[1:] if arguments is None else arguments)
+    try:
+        with log_lines(_say):
+            organ = load_organ(options.organ)
+            for line in describe(organ):
+                _say(line)
+            if not options.no_tetrahedra:
+                tetrahedralise(organ.surface, _say)
+    except SoftTissueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,80 @@
+"""Read mesh files by libraries that damaged files can crash, in a process of its own."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softtissue_estimator.errors import MeshError
+from softtissue_estimator.organ.mesh_files.cells_worker import UNREADABLE
+
+_TIMEOUT_S = 300.0
+_WORKER = Path(__file__).with_name("cells_worker.py")
+
+_log = logging.getLogger(__name__)
+
+
+def read_isolated(path: Path, expected: str) -> dict[str, NDArray[Any]]:
+    """Return what `cells_worker` makes of a file.
+
+    Parameters
+    ----------
+    path : Path
+        VTK, VTP, VTU or MSH.
+    expected : str
+        What the file should be, for messages.
+
+    Raises
+    ------
+    MeshError
+        The file cannot be read.
+    """
+    with tempfile.TemporaryDirectory(prefix="softtissue_") as folder:
+        target = Path(folder) / "cells.npz"
+        command = [sys.executable, "-P", str(_WORKER), str(path.resolve()), path.suffix.lower(), str(target)]
+        # Every thread of a linear algebra library would take of the bounded memory.
+        environment = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
+            "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+        }
+        try:
+            done = subprocess.run(
+                command,
+                env=environment,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=_TIMEOUT_S,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise MeshError(
+                f"expected {expected}, got a file that is not read within {_TIMEOUT_S:.0f} s"
+            ) from error
+        printed = (done.stderr.strip().splitlines() or ["nothing"])[-1]
+        if done.returncode == 0 and target.is_file():
+            with np.load(target) as arrays:
+                return dict(arrays)
+    _log.debug("reading %s ended with exit code %d, %s", path, done.returncode, printed)
+    why = printed if done.returncode == UNREADABLE else "damaged or cut off"
+    raise MeshError(f"expected {expected}, got a file that cannot be read as such: {why}")
+
+
+def require_library(module: str, library: str, extra: str, suffix: str) -> None:
+    """Raise MeshError if a module is not installed; names the library on PyPI and the extra that has it."""
+    if importlib.util.find_spec(module) is None:
+        raise MeshError(
+            f"{suffix} files need the {library} library, which is not installed (pip install {library}, or the extra "
+            f"softtissue_estimator[{extra}])"
+        )

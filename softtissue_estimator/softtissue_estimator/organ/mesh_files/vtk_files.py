@@ -1,0 +1,110 @@
+"""Read cells from VTK's files: legacy (.vtk), PolyData (.vtp) and UnstructuredGrid (.vtu); needs the VTK library."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from softtissue_estimator.errors import MeshError
+from softtissue_estimator.organ.mesh import FloatArray, IntArray
+from softtissue_estimator.organ.mesh_files.cell_surface import CellBlock
+from softtissue_estimator.organ.mesh_files.isolated import read_isolated, require_library
+
+VTK_FORMATS = (".vtk", ".vtp", ".vtu")
+
+# VTK's numbers of cell types (vtkCellType.h); the nodes of all of them begin with the corners.
+_KINDS = {
+    1: "vertex",
+    2: "vertex",
+    3: "line",
+    4: "line",
+    5: "triangle",
+    6: "strip",
+    7: "polygon",
+    8: "pixel",
+    9: "quad",
+    10: "tetra",
+    11: "voxel",
+    12: "hexahedron",
+    13: "wedge",
+    14: "pyramid",
+    21: "line",
+    22: "triangle6",
+    23: "quad8",
+    24: "tetra10",
+    25: "hexahedron20",
+    26: "wedge15",
+    27: "pyramid13",
+    28: "quad9",
+    29: "hexahedron27",
+    32: "wedge18",
+    34: "triangle6",  # a seventh node in its middle
+    35: "line",
+    37: "pyramid19",
+    68: "line",
+    69: "triangle",
+    70: "quad",
+    71: "tetra",
+    72: "hexahedron",
+    73: "wedge",
+    74: "pyramid",
+}
+_PARTS = 4  # polygons, strips, lines and points of PolyData; an UnstructuredGrid has one
+
+
+def read_vtk(path: Path) -> tuple[FloatArray, list[CellBlock]]:
+    """Read points (n, 3) in the file's unit and cells.
+
+    Raises
+    ------
+    MeshError
+        The VTK library is missing, or the file holds no PolyData or UnstructuredGrid with points.
+    """
+    require_library("vtkmodules", "vtk", "vtk", path.suffix)
+    arrays = read_isolated(path, "PolyData or UnstructuredGrid with points")
+    points = np.asarray(arrays["points"], dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise MeshError(f"expected points with three coordinates, got an array of shape {points.shape}")
+    blocks: list[CellBlock] = []
+    for i in range(_PARTS):
+        if f"types{i}" in arrays:
+            types, offsets, nodes = (
+                arrays[f"{name}{i}"].astype(np.int64) for name in ("types", "offsets", "nodes")
+            )
+            blocks += _blocks(types, offsets, nodes)
+    return points, blocks
+
+
+def _blocks(kinds: IntArray, offsets: IntArray, nodes: IntArray) -> Iterator[CellBlock]:
+    """Group cells by kind and number of nodes. VTK reads the arrays as they are, so they are checked here."""
+    sizes = np.diff(offsets)
+    whole = len(offsets) == len(kinds) + 1 and offsets[0] == 0 and offsets[-1] == len(nodes)
+    if not whole or sizes.min(initial=0) < 0:
+        raise MeshError(f"expected {len(kinds)} cells, got offsets that do not fit {len(nodes)} node numbers")
+    for kind in np.unique(kinds):
+        name = _KINDS.get(int(kind), f"number {kind} of VTK")
+        for size in np.unique(sizes[kinds == kind]):
+            start = offsets[:-1][(kinds == kind) & (sizes == size)]
+            rows = nodes[start[:, None] + np.arange(size)]
+            yield from _as_cells(name, rows)
+
+
+def _as_cells(kind: str, rows: IntArray) -> Iterator[CellBlock]:
+    """Translate the kinds that only VTK has."""
+    if kind == "polygon" and rows.shape[1] < 3:
+        yield CellBlock("line", rows)
+    elif kind == "polygon" and rows.shape[1] == 3:
+        yield CellBlock("triangle", rows)
+    elif kind == "pixel" and rows.shape[1] == 4:
+        yield CellBlock("quad", rows[:, [0, 1, 3, 2]])
+    elif kind == "voxel" and rows.shape[1] == 8:
+        yield CellBlock("hexahedron", rows[:, [0, 1, 3, 2, 4, 5, 7, 6]])
+    elif kind == "strip":
+        for i in range(rows.shape[1] - 2):  # every second triangle is wound the other way round
+            yield CellBlock("triangle", rows[:, [i, i + 1, i + 2] if i % 2 == 0 else [i + 1, i, i + 2]])
+    elif kind == "triangle6":
+        yield CellBlock("triangle6", rows[:, :6])
+    else:
+        yield CellBlock(kind, rows)

@@ -1,0 +1,141 @@
+"""Read meshes as users have them: STL, PLY, OBJ, VTK's legacy and XML formats, and Gmsh's MSH."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from softtissue_estimator.errors import MeshError
+from softtissue_estimator.organ.mesh import FloatArray, IntArray, SurfaceMesh
+from softtissue_estimator.organ.mesh_files.cell_surface import CellBlock, check_cells, surface_of_cells
+from softtissue_estimator.organ.mesh_files.msh_files import MSH_FORMATS, read_msh
+from softtissue_estimator.organ.mesh_files.obj_files import read_obj
+from softtissue_estimator.organ.mesh_files.trimesh_files import read_with_trimesh
+from softtissue_estimator.organ.mesh_files.vtk_files import VTK_FORMATS, read_vtk
+
+MESH_FORMATS = (".stl", ".ply", ".obj", *VTK_FORMATS, *MSH_FORMATS)
+
+_SAME_PLACE = 1e-7  # of the largest extent
+# How files begin, what that is, and the extension it should have.
+_BEGINNINGS = (
+    (b"solid", "an STL file", ".stl"),
+    (b"ply", "a PLY file", ".ply"),
+    (b"# vtk DataFile", "a legacy VTK file", ".vtk"),
+    (b'type="PolyData"', "PolyData of VTK", ".vtp"),
+    (b'type="UnstructuredGrid"', "an UnstructuredGrid of VTK", ".vtu"),
+    (b"$MeshFormat", "an MSH file of Gmsh", ".msh"),
+    (b"version https://git-lfs", "a Git LFS pointer instead of the file itself", ""),
+    (b"PK", "a ZIP archive", ""),
+    (b"\x1f\x8b", "a gzip archive", ""),
+    (b"<!DOCTYPE", "a web page", ""),
+    (b"<html", "a web page", ""),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredMesh:
+    """A mesh together with how the file numbers its vertices.
+
+    Parameters
+    ----------
+    mesh : SurfaceMesh
+        m; duplicate vertices merged, faces without area and unused vertices dropped.
+    vertex_of_stored : (s,) int64
+        Vertex of `mesh` for each vertex in the file, -1 for those that were dropped.
+    """
+
+    mesh: SurfaceMesh
+    vertex_of_stored: IntArray
+
+    def with_faces(self, faces: IntArray) -> StoredMesh:
+        """Return the mesh with other faces of the same vertices; those that none uses are dropped."""
+        return _keep_used(self.mesh.vertices, faces, self.vertex_of_stored)
+
+
+def read_mesh(path: Path, unit_m: float) -> StoredMesh:
+    """Read a triangle surface.
+
+    Parameters
+    ----------
+    path : Path
+        STL, PLY or OBJ; VTK, VTP or VTU if the VTK library is installed; MSH if meshio is. Polygons are cut into
+        triangles; of volume elements the outer surface is taken (`surface_of_cells`).
+    unit_m : float
+        Length of the file's unit, m.
+
+    Raises
+    ------
+    MeshError
+        If the file is missing, of another format, damaged or holds no triangle.
+    """
+    if not path.is_file():
+        raise MeshError(f"mesh {path}: expected a file, found {'a folder' if path.is_dir() else 'none'}")
+    kind = path.suffix.lower()
+    if kind not in MESH_FORMATS:
+        raise MeshError(
+            f"mesh {path}: expected one of {', '.join(MESH_FORMATS)}, got {kind or 'no extension'}"
+        )
+    try:
+        if path.stat().st_size == 0:
+            raise MeshError("expected a mesh, got an empty file")
+        if kind in VTK_FORMATS:
+            vertices, blocks = read_vtk(path)
+        elif kind in MSH_FORMATS:
+            vertices, blocks = read_msh(path)
+        else:
+            vertices, blocks = read_obj(path) if kind == ".obj" else read_with_trimesh(path)
+        return _surface(vertices * unit_m, blocks)
+    except MeshError as error:
+        raise MeshError(f"mesh {path}: {_other_format(path) or error}") from error
+    except OSError as error:
+        raise MeshError(f"mesh {path}: expected a file that can be read, got '{error.strerror}'") from error
+
+
+def _surface(vertices: FloatArray, blocks: Sequence[CellBlock]) -> StoredMesh:
+    """Merge vertices in one place, keeping the first of each, and drop what has no area."""
+    check_cells(blocks, len(vertices))
+    used = np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
+    if not np.isfinite(vertices[used]).all():
+        bad = int((~np.isfinite(vertices[used]).all(axis=1)).sum())
+        raise MeshError(f"expected finite coordinates, got {bad} vertices with NaN or inf")
+    extent = float(np.ptp(vertices[used], axis=0).max())
+    if not 0.0 < extent < np.inf:
+        raise MeshError("expected a surface with an extent, got all vertices in one place")
+    # Vertices of no cell may be anywhere, also at NaN.
+    place = np.arange(len(vertices))
+    _, first, group = np.unique(
+        np.round(vertices[used] / (_SAME_PLACE * extent)) + 0.0,
+        axis=0,
+        return_index=True,
+        return_inverse=True,
+    )
+    place[used] = used[first][group.reshape(-1)]
+    faces = surface_of_cells(vertices, [CellBlock(block.kind, place[block.nodes]) for block in blocks])
+    distinct = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    if not distinct.any():
+        raise MeshError(f"expected triangles with an area, got none among {len(faces)}")
+    return _keep_used(vertices, faces[distinct], place)
+
+
+def _keep_used(vertices: FloatArray, faces: IntArray, vertex_of_stored: IntArray) -> StoredMesh:
+    """Drop vertices that no face uses and renumber the others in the same order."""
+    used, compact = np.unique(faces, return_inverse=True)
+    number = np.full(len(vertices), -1, dtype=np.int64)
+    number[used] = np.arange(len(used))
+    renumbered = np.where(vertex_of_stored >= 0, number[vertex_of_stored], -1)
+    return StoredMesh(SurfaceMesh(vertices[used], compact.reshape(-1, 3)), renumbered)
+
+
+def _other_format(path: Path) -> str:
+    """Say what a file is if it is clearly not what its name says."""
+    with path.open("rb") as file:
+        start = file.read(400).lstrip()
+    own = path.suffix.lower()
+    for begin, what, suffix in _BEGINNINGS:
+        if start.startswith(begin) or (begin.startswith(b"type") and b"<VTKFile" in start and begin in start):
+            rename = f"; its name should end in {suffix}" if suffix else ""
+            return "" if suffix == own else f"expected {own[1:].upper()}, got {what}{rename}"
+    return ""

@@ -1,0 +1,227 @@
+"""An organ as scanned: its surface, what lies inside it and where it is attached."""
+
+import hashlib
+import logging
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+
+from softtissue_estimator.errors import OrganError
+from softtissue_estimator.organ.mesh import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    SurfaceMesh,
+)
+from softtissue_estimator.organ.mesh_io import StoredMesh, read_mesh
+from softtissue_estimator.organ.organ_checks import check_place, check_size, mirror_hint
+from softtissue_estimator.organ.organ_file import OrganFile, read_organ_file
+from softtissue_estimator.organ.surface_lookup import SurfaceLookup, build_surface_lookup
+from softtissue_estimator.organ.surface_patch import patch
+from softtissue_estimator.organ.surface_repair import check_closed, clean_organ_surface
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Something inside the organ, such as a vessel tree or a tumour.
+
+    Parameters
+    ----------
+    name, kind : str
+    mesh : SurfaceMesh
+        m, organ frame.
+    colour : tuple of four floats
+        Red, green, blue, opacity; 0 to 1.
+    """
+
+    name: str
+    kind: str
+    mesh: SurfaceMesh
+    colour: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Organ:
+    """A preoperative organ. Everything is in metres, in the frame named `frame`.
+
+    Parameters
+    ----------
+    name, frame : str
+    surface : SurfaceMesh
+    structures : tuple of Structure
+    attached : (n,) bool
+        For every surface vertex, whether it is held in place.
+    folder : Path or None
+        Where it was read from.
+    digest : str
+        Hash of geometry, attachment and structures; equal digests mean equal organs.
+    """
+
+    name: str
+    frame: str
+    surface: SurfaceMesh
+    structures: tuple[Structure, ...]
+    attached: BoolArray
+    folder: Path | None
+    digest: str
+
+    def __post_init__(self) -> None:
+        if self.attached.shape != (len(self.surface.vertices),):
+            raise OrganError(
+                f"organ {self.name!r}, attached: expected one flag for each of the "
+                f"{len(self.surface.vertices)} surface vertices, got shape {self.attached.shape}"
+            )
+
+    @cached_property
+    def structure_points(self) -> FloatArray:
+        """Vertices of all structures, in order, (k, 3) m."""
+        return np.concatenate([np.empty((0, 3)), *(s.mesh.vertices for s in self.structures)])
+
+    @cached_property
+    def structure_index(self) -> NDArray[np.uint32]:
+        """Which structure each of `structure_points` belongs to, (k,)."""
+        sizes = [len(s.mesh.vertices) for s in self.structures]
+        return np.repeat(np.arange(len(sizes), dtype=np.uint32), sizes)
+
+    @cached_property
+    def query_points(self) -> FloatArray:
+        """Where every estimator answers: `structure_points`, then the surface vertices, (k + n, 3) m."""
+        return np.concatenate([self.structure_points, self.surface.vertices])
+
+    @cached_property
+    def geometry_digest(self) -> str:
+        """Hash of the surface and of the query points: equal for organs that differ in their attached region alone."""
+        content = hashlib.sha256()
+        for array in (self.surface.faces, self.query_points):
+            content.update(f"{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+        return content.hexdigest()
+
+    def with_attached(self, attached: BoolArray) -> "Organ":
+        """Return the same organ attached elsewhere, (n,) flags; what was computed of its geometry is kept."""
+        other = make_organ(self.name, self.frame, self.surface, self.structures, attached, self.folder)
+        for name in ("geometry_digest", "query_points", "structure_points", "surface_lookup"):
+            if name in self.__dict__:
+                other.__dict__[name] = self.__dict__[name]
+        return other
+
+    @cached_property
+    def surface_lookup(self) -> SurfaceLookup:
+        """Table for finding the nearest surface of many points at once; built when first asked for."""
+        return build_surface_lookup(self.surface)
+
+
+def make_organ(
+    name: str,
+    frame: str,
+    surface: SurfaceMesh,
+    structures: tuple[Structure, ...],
+    attached: BoolArray,
+    folder: Path | None = None,
+) -> Organ:
+    """Make an organ and hash its content."""
+    content = hashlib.sha256()
+    flags = np.ascontiguousarray(attached, dtype=np.bool_)
+    for array in (surface.vertices, surface.faces, flags):
+        content.update(f"{array.shape}{array.dtype.str}".encode() + array.tobytes())
+    for structure in structures:
+        content.update(f"{structure.name}\0{structure.kind}\0{structure.colour}".encode())
+        for array in (structure.mesh.vertices, structure.mesh.faces):
+            content.update(f"{array.shape}".encode() + array.tobytes())
+    return Organ(name, frame, surface, structures, flags, folder, content.hexdigest())
+
+
+def load_organ(folder: Path) -> Organ:
+    """Read an organ folder; `docs/architecture.md` describes `organ.yaml`.
+
+    Raises
+    ------
+    OrganError
+        If `organ.yaml` or what it describes cannot be meant: a missing file, a unit that gives no organ's size, a
+        structure far from the organ, an attached region without a vertex.
+    MeshError
+        If a mesh cannot be read.
+    """
+    folder = Path(folder)
+    file = read_organ_file(folder)
+    stored = clean_organ_surface(read_mesh(file.surface, file.unit_m), str(file.surface))
+    check_size(stored.mesh, file.path, file.unit, file.unit_m)
+    check_closed(stored.mesh, str(file.surface))
+    structures = tuple(
+        Structure(entry.name, entry.kind, read_mesh(entry.mesh, file.unit_m).mesh, entry.colour)
+        for entry in file.structures
+    )
+    for structure in structures:
+        check_place(structure.name, structure.mesh, stored.mesh, file.path)
+    attached = _attached_vertices(stored, file)
+    return make_organ(file.name, file.frame, stored.mesh, structures, attached, folder)
+
+
+def _attached_vertices(stored: StoredMesh, file: OrganFile) -> BoolArray:
+    vertices = stored.mesh.vertices
+    attached = np.zeros(len(vertices), dtype=np.bool_)
+    entry = file.attached
+    if entry is None:
+        _log.warning("%s says nothing about where the organ is attached; it is taken as free", file.path)
+        return attached
+    if entry.vertices:
+        attached[_listed_vertices(stored, entry.vertices, file)] = True
+    for i, (centre, radius) in enumerate(entry.spheres):
+        gap = np.linalg.norm(vertices - np.array(centre), axis=1) - radius
+        _check_reached(gap, f"{file.path}, attached.spheres[{i}]")
+        attached |= gap <= 0.0
+    if entry.touching is not None:
+        mesh, distance = entry.touching
+        touching = read_mesh(mesh, file.unit_m).mesh
+        squared = igl.point_mesh_squared_distance(vertices, touching.vertices, touching.faces)[0]
+        gap = np.sqrt(np.asarray(squared, dtype=np.float64)) - distance
+        where = f"{file.path}, attached.touching"
+        _check_reached(gap, where, mirror_hint(stored.mesh, touching.vertices, 0.0))
+        attached |= gap <= 0.0
+    if entry.patch is not None:
+        centre, share = entry.patch
+        attached |= patch(stored.mesh, np.array(centre), share)
+    if not attached.any() or attached.all():
+        got = "all of them" if attached.any() else "none"
+        raise OrganError(
+            f"{file.path}, attached: expected some of the {len(vertices)} surface vertices, got {got}"
+        )
+    return attached
+
+
+def _check_reached(gap_m: FloatArray, where: str, hint: str = "") -> None:
+    """Raise OrganError unless something of the surface is within reach; (n,) distances beyond it, m."""
+    if gap_m.min() > 0.0:
+        raise OrganError(
+            f"{where}: expected surface vertices within its reach, got none, the nearest "
+            f"{1e3 * gap_m.min():.3g} mm beyond it{hint}"
+        )
+
+
+def _listed_vertices(stored: StoredMesh, listed: tuple[int, ...], file: OrganFile) -> IntArray:
+    if file.surface.suffix.lower() == ".stl":
+        raise OrganError(
+            f"{file.path}, attached.vertices: expected a surface whose file numbers its vertices, got an STL; "
+            "use spheres, touching, or a surface of another format"
+        )
+    index = np.array(listed, dtype=np.int64)
+    count = len(stored.vertex_of_stored)
+    if index.min() < 0 or index.max() >= count:
+        raise OrganError(
+            f"{file.path}, attached.vertices: expected indices from 0 to {count - 1} (the first vertex of the file "
+            f"is 0), got {index.min()} to {index.max()}"
+        )
+    found = stored.vertex_of_stored[index]
+    if (found < 0).any():
+        _log.info(
+            "%s: %d of the %d attached vertices are not on the surface",
+            file.path,
+            int((found < 0).sum()),
+            len(found),
+        )
+    return found[found >= 0]

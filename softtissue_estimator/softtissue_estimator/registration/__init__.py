@@ -1,0 +1,1 @@
+"""Where an organ is in a cloud of points that have no correspondences."""

@@ -1,0 +1,186 @@
+"""What arrives: clouds, correspondences and registrations, until they are frames to answer."""
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from geometry_msgs.msg import TransformStamped
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from sensor_msgs.msg import PointCloud2
+from softtissue_msgs.msg import Correspondences
+
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.ros.inputs.conversions import carries_reference, field_names, stamp_ns
+from softtissue_estimator.ros.inputs.counters import FrameCounters, LossCounter
+from softtissue_estimator.ros.inputs.pairing import Outcome, StampMatcher, Waiting
+from softtissue_estimator.ros.inputs.registration import Registration
+from softtissue_estimator.ros.inputs.watchdog import TRANSPORT_HINT
+
+# Depth 1: an old cloud is worth nothing. Correspondences may arrive a few messages before their cloud.
+CLOUD_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+CORRESPONDENCES_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+REGISTRATION_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+# For a registration that is published once and kept for late comers. A volatile publisher cannot serve such a
+# subscription and would log a warning, so there is one only where somebody offers it.
+KEPT_REGISTRATION_QOS = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+
+
+@dataclass(frozen=True)
+class Received:
+    """A cloud with the correspondences that belong to it (None if it carries its own)."""
+
+    cloud: PointCloud2
+    correspondences: Correspondences | None
+    received_s: float
+
+
+class Intake:
+    """Subscriptions of an active node. All methods and callbacks run in the executor's thread.
+
+    Parameters
+    ----------
+    node : Node
+    counters : FrameCounters
+    registration : Registration
+    on_frame : callable
+        Takes a cloud that is complete.
+    on_refusal : callable
+        Takes a cloud that cannot be completed, and why.
+    on_warning : callable
+        Takes a sentence about something that is not a cloud.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        counters: FrameCounters,
+        registration: Registration,
+        on_frame: Callable[[Received], None],
+        on_refusal: Callable[[PointCloud2, str], None],
+        on_warning: Callable[[str], None],
+    ) -> None:
+        self._node, self._counters, self._registration = node, counters, registration
+        self._on_frame, self._on_refusal, self._on_warning = on_frame, on_refusal, on_warning
+        self._matcher: StampMatcher[PointCloud2, Correspondences] = StampMatcher()
+        self.last_cloud_s: float | None = None
+        events = SubscriptionEventCallbacks(incompatible_qos=self._warn_incompatible)
+        self._kept_registration: Any = None
+        self._pairs = node.create_subscription(
+            Correspondences, "correspondences", self._take_correspondences, CORRESPONDENCES_QOS
+        )
+        self._poses = node.create_subscription(
+            TransformStamped, "registration", self._take_registration, REGISTRATION_QOS
+        )
+        # Last: who waits for this subscription to appear can rely on the others.
+        self._clouds = node.create_subscription(
+            PointCloud2, "surface_points", self._take_cloud, CLOUD_QOS, event_callbacks=events
+        )
+
+        offers = node.get_publishers_info_by_topic(self.topic)
+        self._losses = LossCounter([_identity(offer.endpoint_gid) for offer in offers])
+
+    @property
+    def waiting(self) -> int:
+        """Number of clouds that wait for their correspondences."""
+        return self._matcher.waiting
+
+    @property
+    def topic(self) -> str:
+        """Full name of the topic of clouds."""
+        return str(self._clouds.topic_name)
+
+    def publishers(self) -> int:
+        """Count the publishers announced on the topic of clouds."""
+        return int(self._node.count_publishers(self.topic))
+
+    def expire(self) -> None:
+        """Refuse the clouds whose correspondences did not come."""
+        self._settle(self._matcher.expire(time.monotonic()))
+
+    def look_for_kept_registration(self) -> None:
+        """Subscribe once more to the registration if all its publishers keep it for late comers."""
+        if self._kept_registration is not None:
+            return
+        offers = self._node.get_publishers_info_by_topic(self._poses.topic_name)
+        if offers and all(o.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers):
+            self._kept_registration = self._node.create_subscription(
+                TransformStamped, "registration", self._take_registration, KEPT_REGISTRATION_QOS
+            )
+
+    def clear(self) -> None:
+        """Forget the clouds that wait, uncounted."""
+        self._matcher.clear()
+
+    def close(self) -> None:
+        """End the subscriptions."""
+        for subscription in (self._clouds, self._pairs, self._poses, self._kept_registration):
+            if subscription is not None:
+                self._node.destroy_subscription(subscription)
+
+    def _take_cloud(self, message: PointCloud2, info: dict[str, Any]) -> None:
+        now = self.last_cloud_s = time.monotonic()
+        lost = self._lost_before(info)
+        self._counters.add(received=1 + lost, dropped=lost)
+        try:
+            complete = carries_reference(message)
+        except InvalidInputError as error:
+            self._on_refusal(message, str(error))
+            return
+        if complete:
+            self._on_frame(Received(message, None, now))
+        else:
+            self._settle(self._matcher.add_cloud(stamp_ns(message.header.stamp), message, now))
+
+    def _lost_before(self, info: dict[str, Any]) -> int:
+        """Count clouds that a newer one overwrote before this thread could take them, or that got lost."""
+        publisher, sequence = info.get("publisher_gid"), info.get("publication_sequence_number")
+        if not publisher or sequence is None:
+            return 0
+        lost = self._losses.lost_before(_identity(publisher["data"]), int(sequence))
+        if lost:
+            self._on_warning(
+                f"{self.topic}: expected every cloud of its publisher, got a gap of {lost}, counted as dropped;"
+                f" if this goes on and they are large, {TRANSPORT_HINT}"
+            )
+        return lost
+
+    def _take_correspondences(self, message: Correspondences) -> None:
+        self._settle(self._matcher.add_pairs(stamp_ns(message.header.stamp), message))
+
+    def _take_registration(self, message: TransformStamped) -> None:
+        try:
+            self._registration.put(message)
+        except InvalidInputError as error:
+            self._on_warning(str(error))
+
+    def _settle(self, outcome: Outcome[PointCloud2, Correspondences]) -> None:
+        self._counters.add(dropped=len(outcome.passed_over))
+        for entry in outcome.unmatched:
+            self._refuse_unmatched(entry)
+        if outcome.matched is not None:
+            entry, correspondences = outcome.matched
+            self._on_frame(Received(entry.cloud, correspondences, entry.received_s))
+
+    def _refuse_unmatched(self, entry: Waiting[PointCloud2]) -> None:
+        self._on_refusal(
+            entry.cloud,
+            "cloud: expected fields ref_x ref_y ref_z, or a message with the same stamp on"
+            f" {self._pairs.topic_name}, got fields {' '.join(field_names(entry.cloud))} alone",
+        )
+
+    def _warn_incompatible(self, event: Any) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        self._on_warning(
+            f"{self.topic}: expected a publisher that suits a best-effort subscription,"
+            f" got one whose quality of service differs in {policy}; nothing of it will be received"
+        )
+
+
+def _identity(gid: Iterable[int]) -> bytes:
+    """Return the 16 bytes that identify a publisher; some interfaces pad them."""
+    return bytes(gid)[:16]

@@ -1,0 +1,1 @@
+"""Caches, bundled files, threads and log lines: nothing of the field."""

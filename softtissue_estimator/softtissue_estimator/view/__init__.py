@@ -1,0 +1,1 @@
+"""Pictures of an organ and of an estimate."""

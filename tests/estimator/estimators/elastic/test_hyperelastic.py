@@ -1,0 +1,151 @@
+"""Forces and stiffness against closed forms, finite differences and an implementation of its own."""
+
+import numpy as np
+import pytest
+import torch
+
+from estimator.linear_stiffness import averaged_stiffness
+from estimator.shapes import box_tets, rotation
+from softtissue_estimator.errors import OrganError
+from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody, determinant
+from softtissue_training.physics.averaged_body import AveragedBody
+from softtissue_training.physics.material import Material
+
+CPU = torch.device("cpu")
+MESH = box_tets((0.06, 0.04, 0.03), (4, 3, 2))
+COUNT = len(MESH.nodes)
+SPRINGS = np.diag(np.where(MESH.nodes[:, 0] < 1e-9, 0.02, 1e-4))
+LOADS = np.eye(COUNT)[:, -2:]
+BODY = HyperelasticBody(MESH, SPRINGS, LOADS, CPU)
+RATIO = 0.35
+NONE = torch.zeros((COUNT, 3), dtype=torch.float64)
+
+
+def bent(size):
+    x, y, _ = MESH.nodes.T
+    wave = np.column_stack([np.sin(40.0 * y), np.cos(30.0 * x), np.sin(50.0 * x + 20.0 * y)])
+    return torch.from_numpy(size * wave)
+
+
+def residual(displacement):
+    """Unbalanced force (n, 3), from the offset: K (u - offset) is the force of springs and elements."""
+    tangent = BODY.linearise(displacement, NONE, RATIO)
+    return tangent, displacement - tangent.offset
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.35, 0.48])
+def test_at_rest_the_stiffness_is_the_linear_one(ratio):
+    tangent = BODY.linearise(NONE, NONE, ratio)
+    matrix = averaged_stiffness(MESH, ratio) + np.kron(SPRINGS, np.eye(3))
+    expected = np.linalg.solve(matrix, np.kron(LOADS, np.eye(3)))
+    np.testing.assert_allclose(
+        tangent.response.numpy(), expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max()
+    )
+    np.testing.assert_allclose(tangent.offset.numpy(), 0.0, atol=1e-15)
+    resting = BODY.at_rest(ratio)
+    np.testing.assert_allclose(resting.response.numpy(), tangent.response.numpy(), rtol=1e-3)
+
+
+@pytest.mark.parametrize(("ratio", "size"), [(0.35, 1.0), (0.48, 0.1)])
+def test_newton_steps_find_the_equilibrium_of_an_independent_implementation(ratio, size):
+    """Loads on two corners; the offset plus the response to them, again and again, is Newton's method."""
+    force = size * torch.tensor([[0.0, 0.0, 1.5e-4], [0.0, 1e-4, 1e-4]], dtype=torch.float64)
+    state = NONE
+    for _ in range(12):
+        tangent = BODY.linearise(state, NONE, ratio)
+        end = tangent.offset + (tangent.response.double() @ force.reshape(-1)).reshape(-1, 3)
+        state = BODY.guarded(state, end)
+    assert float(state.abs().max()) > 0.01 * size
+    other = AveragedBody(
+        MESH.nodes,
+        MESH.tets[:, [1, 0, 2, 3]],
+        np.zeros((COUNT, 3), dtype=bool),
+        Material("neo_hookean", 1.0, ratio),
+    )
+    inner = other.internal_force(state.numpy()) + SPRINGS @ state.numpy()
+    np.testing.assert_allclose(inner, LOADS @ force.numpy(), atol=1e-6 * float(force.abs().max()) * 10)
+
+
+def test_a_rigid_motion_costs_nothing_and_turns_the_response():
+    turn, shift = rotation([1, 2, -1], 0.9), np.array([0.1, -0.2, 0.05])
+    moved = torch.from_numpy(MESH.nodes @ turn.T + shift - MESH.nodes)
+    tangent = BODY.linearise(moved, moved, RATIO)
+    known = BODY.at_rest(RATIO).linearise_moved(torch.from_numpy(turn), moved, moved)
+    np.testing.assert_allclose(tangent.offset.numpy(), moved.numpy(), atol=1e-9)
+    np.testing.assert_allclose(known.offset.numpy(), moved.numpy(), atol=1e-9)
+    at_rest = BODY.linearise(NONE, NONE, RATIO).response.numpy().reshape(COUNT, 3, 2, 3)
+    expected = np.einsum("ab,nbpc,dc->napd", turn, at_rest, turn)
+    found = tangent.response.numpy().reshape(COUNT, 3, 2, 3)
+    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
+    # There the loads turn with the body.
+    found = np.einsum("napc,dc->napd", known.response.numpy().reshape(COUNT, 3, 2, 3), turn)
+    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
+
+
+def test_offset_is_newtons_step():
+    """To first order, forces at the offset vanish: they are second order in the step."""
+    sizes = (2e-4, 1e-4)
+    left = []
+    for size in sizes:
+        state = bent(size)
+        offset = BODY.linearise(state, NONE, RATIO).offset
+        _, step = residual(offset)
+        left.append(float(step.abs().max()))
+    assert left[0] < 0.2 * sizes[0]
+    assert left[1] < 0.35 * left[0]
+
+
+def test_elements_turned_inside_out_come_back():
+    state = bent(0.0).clone()
+    corner = int(np.argmax(MESH.nodes @ [1.0, 1.0, 1.0]))
+    state[corner] -= torch.tensor([0.04, 0.03, 0.03], dtype=torch.float64)
+    assert float(torch.linalg.det(BODY.deformation_gradient(state)).min()) < 0.0
+    for _ in range(15):
+        state = BODY.guarded(state, BODY.linearise(state, NONE, RATIO).offset)
+    assert float(torch.linalg.det(BODY.deformation_gradient(state)).min()) > 0.9
+    np.testing.assert_allclose(state.numpy(), 0.0, atol=1e-5)
+
+
+def test_a_step_stops_before_it_crushes_a_sound_element():
+    end = NONE.clone()
+    end[:, 0] = torch.from_numpy(-1.5 * MESH.nodes[:, 0])  # turned inside out along x
+    stopped = BODY.guarded(NONE, end)
+    volume = torch.linalg.det(BODY.deformation_gradient(stopped))
+    assert 0.1 <= float(volume.min()) < 0.8
+    np.testing.assert_array_equal(BODY.guarded(NONE, 0.1 * end).numpy(), (0.1 * end).numpy())
+
+
+def test_a_body_that_nothing_holds_is_refused():
+    with pytest.raises(OrganError, match="expected a stiffness that can be factorised"):
+        HyperelasticBody(MESH, -1e-3 * np.eye(COUNT), LOADS, CPU).at_rest(RATIO)
+
+
+def deformed_beyond(share, stretches):
+    """Displacement that stretches the elements of the last `share` of the length of the block so."""
+    begin = 0.06 * (1.0 - share)
+    beyond = np.maximum(MESH.nodes[:, 0] - begin, 0.0)
+    moved = np.zeros_like(MESH.nodes)
+    moved[:, 0] = (stretches[0] - 1.0) * beyond
+    moved[:, 1:] = (np.array(stretches[1:]) - 1.0) * MESH.nodes[:, 1:] * (beyond > 0.0)[:, None]
+    return torch.from_numpy(moved)
+
+
+@pytest.mark.parametrize(
+    ("stretches", "torn"),
+    [
+        ((1.0, 1.0, 1.0), False),
+        ((1.8, 0.75, 0.75), False),  # more than any organ, but no more than an estimate may pass through
+        ((3.0, 1.0, 1.0), True),
+        ((-0.5, 1.0, 1.0), True),
+    ],
+)
+def test_what_no_tissue_endures_is_told(stretches, torn):
+    assert BODY.is_torn(deformed_beyond(0.5, stretches)) is torn
+    turned = rotation([0.3, -0.8, 0.5], 1.2)
+    moved = (MESH.nodes + deformed_beyond(0.5, stretches).numpy()) @ turned.T - MESH.nodes
+    assert BODY.is_torn(torch.from_numpy(moved)) is torn
+
+
+def test_determinants():
+    matrices = torch.randn((20, 3, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(determinant(matrices), torch.linalg.det(matrices))

@@ -1,0 +1,130 @@
+"""The fast posterior against the dense formulae it stands for."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from scipy.sparse import csr_array
+from scipy.stats import multivariate_normal
+
+from estimator.linear_stiffness import averaged_stiffness
+from estimator.shapes import box_tets
+from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody
+from softtissue_estimator.estimators.elastic.loads import load_basis
+from softtissue_estimator.estimators.elastic.posterior import (
+    condition,
+    equal_variances,
+    mean_displacement,
+    standard_deviation,
+    sum_up,
+)
+
+CPU = torch.device("cpu")
+LENGTHS = (0.09, 0.05, 0.03)
+MESH = box_tets(LENGTHS, (6, 4, 3))
+HELD = np.flatnonzero(MESH.nodes[:, 0] < 1e-9)
+LOADS = load_basis(MESH)
+SPRINGS = np.zeros((len(MESH.nodes), len(MESH.nodes)))
+SPRINGS[HELD, HELD] = 0.05
+BODY = HyperelasticBody(MESH, SPRINGS, LOADS, CPU)
+REST = torch.zeros((len(MESH.nodes), 3), dtype=torch.float64)
+TANGENT = BODY.linearise(REST, REST, 0.35)
+SEEN = np.flatnonzero((MESH.nodes[:, 2] > LENGTHS[2] - 1e-9) & (MESH.nodes[:, 0] > 0.03))
+OBSERVE = csr_array((np.ones(len(SEEN)), (np.arange(len(SEEN)), SEEN)), shape=(len(SEEN), len(MESH.nodes)))
+PRECISION = np.full(len(SEEN), 0.001**-2)
+
+
+def observed(seed=0, noise=0.0):
+    rng = np.random.default_rng(seed)
+    bend = np.column_stack([0 * MESH.nodes[:, 0], 0 * MESH.nodes[:, 0], 2.0 * MESH.nodes[:, 0] ** 2])
+    return bend[SEEN] + noise * rng.normal(size=(len(SEEN), 3))
+
+
+def dense_covariance(variances):
+    """P = K^-1 B V B^T K^-T by the book."""
+    matrix = averaged_stiffness(MESH, 0.35) + np.kron(SPRINGS, np.eye(3))
+    response = np.linalg.solve(matrix, np.kron(LOADS, np.eye(3)))
+    return (response * np.repeat(variances, 3)) @ response.T
+
+
+def test_mean_and_deviation_are_those_of_the_dense_gaussian_process():
+    data = observed(noise=0.001)
+    seen = sum_up(OBSERVE, data, PRECISION, CPU)
+    variances = equal_variances(TANGENT, seen, 0.015) * torch.linspace(0.2, 2.0, LOADS.shape[1])
+    found, _ = condition(TANGENT, seen, variances, updates=0)
+    prior = dense_covariance(variances.numpy())
+    observe = np.kron(OBSERVE.toarray(), np.eye(3))
+    gain = prior @ observe.T @ np.linalg.inv(observe @ prior @ observe.T + 1e-6 * np.eye(3 * len(SEEN)))
+    mean = (gain @ data.ravel()).reshape(-1, 3)
+    variance = np.diagonal(prior - gain @ observe @ prior).reshape(-1, 3).mean(axis=1)
+    np.testing.assert_allclose(mean_displacement(TANGENT, found).numpy(), mean, atol=2e-5)
+    np.testing.assert_allclose(
+        standard_deviation(TANGENT, found).numpy(), np.sqrt(variance), rtol=0.02, atol=1e-6
+    )
+
+
+def test_equal_variances_move_the_seen_nodes_as_far_as_expected():
+    seen = sum_up(OBSERVE, observed(), PRECISION, CPU)
+    prior = dense_covariance(equal_variances(TANGENT, seen, 0.02).numpy())
+    by_node = np.diagonal(prior).reshape(-1, 3)[SEEN]
+    assert np.sqrt(by_node.mean()) == pytest.approx(0.02, rel=1e-3)
+
+
+def test_more_points_are_summed_up_exactly():
+    data = observed(noise=0.002)
+    twice = csr_array(np.concatenate([OBSERVE.toarray()] * 2))
+    one = sum_up(OBSERVE, data, PRECISION, CPU)
+    two = sum_up(twice, np.concatenate([data, data]), np.concatenate([PRECISION, PRECISION]) / 2.0, CPU)
+    for first, second in zip(
+        (one.nodes, one.normal.to_dense(), one.right),
+        (two.nodes, two.normal.to_dense(), two.right),
+        strict=True,
+    ):
+        np.testing.assert_allclose(second.numpy(), first.numpy(), rtol=1e-12)
+
+
+def test_one_pushed_patch_is_found_among_all():
+    """Relevance finds the load, and the far side with it, better than equal variances do."""
+    patch = int(
+        np.argmin(np.linalg.norm(MESH.nodes[LOADS.argmax(axis=0)] - [0.09, 0.025, 0.03], axis=1)[:-1])
+    )
+    force = np.zeros((LOADS.shape[1], 3))
+    force[patch] = [0.0, 0.3, -1.0]
+    matrix = averaged_stiffness(MESH, 0.35) + np.kron(SPRINGS, np.eye(3))
+    truth = np.linalg.solve(matrix, (LOADS @ force).ravel()).reshape(-1, 3)
+    truth *= 0.02 / np.abs(truth).max()
+    part = SEEN[MESH.nodes[SEEN, 0] < 0.05]  # the pushed end itself is not seen
+    rows = csr_array((np.ones(len(part)), (np.arange(len(part)), part)), shape=(len(part), len(MESH.nodes)))
+    seen = sum_up(rows, truth[part], np.full(len(part), 0.0005**-2), CPU)
+    start = equal_variances(TANGENT, seen, 0.015)
+    errors = [
+        np.linalg.norm(
+            mean_displacement(TANGENT, condition(TANGENT, seen, start, updates)[0]).numpy() - truth, axis=1
+        ).mean()
+        for updates in (0, 15)
+    ]
+    found = condition(TANGENT, seen, start, 15)[0].variances.numpy()
+    strongest = MESH.nodes[LOADS.argmax(axis=0)][np.argsort(found)[-1]]
+    assert np.linalg.norm(strongest - MESH.nodes[LOADS[:, patch].argmax()]) < 0.02
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_evidence_compares_as_the_densities_of_the_dense_gaussian_process():
+    """Two priors, and two tangents whose offsets differ, against the densities of what is seen."""
+    data = observed(noise=0.001)
+    seen = sum_up(OBSERVE, data, PRECISION, CPU)
+    observe = np.kron(OBSERVE.toarray(), np.eye(3))
+    start = equal_variances(TANGENT, seen, 0.015)
+    shift = torch.from_numpy(np.random.default_rng(3).normal(scale=0.002, size=MESH.nodes.shape))
+    found, expected = [], []
+    for variances, offset in ((start, REST), (0.1 * start, REST), (start, shift)):
+        tangent = dataclasses.replace(TANGENT, offset=offset)
+        found.append(condition(tangent, seen, variances, updates=0)[1])
+        covariance = observe @ dense_covariance(variances.numpy()) @ observe.T
+        law = multivariate_normal(
+            observe @ offset.numpy().ravel(), covariance + 1e-6 * np.eye(len(covariance))
+        )
+        expected.append(law.logpdf(data.ravel()))
+    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=2e-3, atol=0.05)
+    assert abs(expected[1] - expected[0]) > 1.0

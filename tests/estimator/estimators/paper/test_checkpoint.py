@@ -1,0 +1,123 @@
+"""Checkpoints: what is stored comes back, and what does not fit is refused in one sentence."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from softtissue_estimator.errors import CheckpointError
+from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint, save_checkpoint
+from softtissue_estimator.estimators.paper.network import UNet, UNetArchitecture
+from softtissue_estimator.estimators.paper.network_input import NetworkSpec
+
+SPEC = NetworkSpec(spacing=0.006, margin_cells=3, architecture=UNetArchitecture(widths=(4, 4, 4, 8)))
+
+
+@pytest.fixture
+def stored(tmp_path: Path) -> Path:
+    torch.manual_seed(1)
+    path = tmp_path / "weights.safetensors"
+    save_checkpoint(path, UNet(SPEC.architecture), SPEC, {"command": "train", "validation_mm": 3.5})
+    return path
+
+
+def _rewrite(path: Path, **changes: str) -> None:
+    tensors = load_file(path)
+    metadata = {
+        "format": "softtissue-checkpoint",
+        "version": "1",
+        "spec": json.dumps(
+            {"architecture": {"widths": [4, 4, 4, 8]}, "channels": ["a"] * 5, "input_scales": [1] * 5}
+        ),
+        "provenance": "{}",
+    }
+    save_file(tensors, path, metadata=metadata | changes)
+
+
+def test_round_trip(stored: Path) -> None:
+    checkpoint = load_checkpoint(stored)
+    torch.manual_seed(1)
+    expected = UNet(SPEC.architecture)
+    for name, weight in expected.state_dict().items():
+        assert torch.equal(weight, checkpoint.network.state_dict()[name])
+    assert checkpoint.spec == SPEC
+    assert checkpoint.provenance == {"command": "train", "validation_mm": 3.5}
+
+
+def test_half_precision_is_half_the_size_and_close(stored: Path, tmp_path: Path) -> None:
+    full = load_checkpoint(stored)
+    half_path = tmp_path / "half.safetensors"
+    save_checkpoint(half_path, full.network, full.spec, {}, half=True)
+    half = load_checkpoint(half_path)
+    assert half_path.stat().st_size < 0.6 * stored.stat().st_size
+    inputs = torch.randn(1, 5, 16, 16, 16, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(full.network(inputs), half.network(inputs), atol=2e-3, rtol=0.0)
+
+
+def test_missing_file() -> None:
+    with pytest.raises(CheckpointError, match="does not exist"):
+        load_checkpoint(Path("nowhere.safetensors"))
+
+
+def test_truncated_file(stored: Path) -> None:
+    stored.write_bytes(stored.read_bytes()[:2000])
+    with pytest.raises(CheckpointError, match="damaged"):
+        load_checkpoint(stored)
+
+
+def test_pickle_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "weights.pt"
+    torch.save({"a": torch.zeros(1)}, path)
+    with pytest.raises(CheckpointError, match="damaged or not a safetensors file"):
+        load_checkpoint(path)
+
+
+def test_other_architecture(stored: Path) -> None:
+    wider = {"architecture": {"widths": [4, 4, 6, 8]}, "channels": ["a"] * 5, "input_scales": [1] * 5}
+    _rewrite(stored, spec=json.dumps(wider))
+    with pytest.raises(CheckpointError, match="another architecture: expected .* got"):
+        load_checkpoint(stored)
+
+
+def test_other_software(stored: Path) -> None:
+    _rewrite(stored, format="something else")
+    with pytest.raises(CheckpointError, match="not written by this software.*something else"):
+        load_checkpoint(stored)
+
+
+def test_unknown_version(stored: Path) -> None:
+    _rewrite(stored, version="99")
+    with pytest.raises(CheckpointError, match="version 99, expected 1"):
+        load_checkpoint(stored)
+
+
+def test_unreadable_metadata(stored: Path) -> None:
+    _rewrite(stored, spec="{")
+    with pytest.raises(CheckpointError, match="unreadable metadata"):
+        load_checkpoint(stored)
+
+
+def test_channels_must_fit(stored: Path) -> None:
+    spec = {"architecture": {"widths": [4, 4, 4, 8]}, "channels": ["a"] * 4, "input_scales": [1] * 4}
+    _rewrite(stored, spec=json.dumps(spec))
+    with pytest.raises(CheckpointError, match="4 channels"):
+        load_checkpoint(stored)
+
+
+def test_values_that_are_not_finite(tmp_path: Path) -> None:
+    network = UNet(SPEC.architecture)
+    with torch.no_grad():
+        next(network.parameters())[0] = float("nan")
+    path = tmp_path / "nan.safetensors"
+    save_checkpoint(path, network, SPEC, {})
+    with pytest.raises(CheckpointError, match="not finite"):
+        load_checkpoint(path)
+
+
+def test_failed_write_keeps_the_old_file(stored: Path) -> None:
+    before = stored.read_bytes()
+    with pytest.raises(TypeError):
+        save_checkpoint(stored, UNet(SPEC.architecture), SPEC, {"unwritable": object()})
+    assert stored.read_bytes() == before

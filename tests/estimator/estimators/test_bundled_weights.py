@@ -1,0 +1,49 @@
+"""The weights that come with the package: the paper's network, and better than no estimate at all."""
+
+import json
+
+import numpy as np
+import pytest
+
+from softtissue_estimator.estimators.hybrid.checkpoint import load_hybrid_checkpoint
+from softtissue_estimator.estimators.hybrid.input import HybridSpec
+from softtissue_estimator.estimators.paper.checkpoint import Checkpoint, load_checkpoint
+from softtissue_estimator.estimators.paper.network import UNetArchitecture, parameter_count
+from softtissue_estimator.estimators.paper.network_input import CHANNELS
+from softtissue_estimator.support.resources import bundled_checkpoint
+
+
+@pytest.fixture(scope="module")
+def checkpoint() -> Checkpoint:
+    return load_checkpoint(bundled_checkpoint())
+
+
+def test_they_are_the_papers_network(checkpoint: Checkpoint) -> None:
+    assert checkpoint.spec.architecture == UNetArchitecture()
+    assert parameter_count(checkpoint.network.requires_grad_(True)) == 9_080_844
+    assert checkpoint.spec.channels == CHANNELS
+    scales = np.array(checkpoint.spec.input_scales)
+    np.testing.assert_allclose(scales / scales[1], [0.1, 1.0, 1.0, 1.0, 0.1])
+
+
+def test_they_say_where_they_come_from(checkpoint: Checkpoint) -> None:
+    provenance = checkpoint.provenance
+    assert provenance["command"].startswith("softtissue-train train")
+    assert len(provenance["data_sha256"]) == 64 and provenance["simulations"] >= 1000
+    assert provenance["validation_error_mm"] < provenance["validation_displacement_mm"]
+    # The product speaks of itself alone: no folder of the machine that trained them.
+    assert "/" not in json.dumps(provenance)
+
+
+def test_file_stays_below_twenty_megabytes() -> None:
+    assert bundled_checkpoint().stat().st_size < 20_000_000
+
+
+def test_hybrid_weights_are_no_worse_than_the_posterior_that_they_add_to() -> None:
+    checkpoint = load_hybrid_checkpoint(bundled_checkpoint("hybrid"))
+    provenance = checkpoint.provenance
+    assert checkpoint.spec.channels == HybridSpec().channels
+    assert provenance["validation_error_mm"] <= provenance["validation_elastic_error_mm"]
+    assert provenance["correlation"] > 0.78
+    assert provenance["command"].startswith("softtissue-train train --config hybrid")
+    assert "/" not in json.dumps(provenance)

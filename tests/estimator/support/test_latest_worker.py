@@ -1,0 +1,66 @@
+"""A thread that works on the newest item."""
+
+import os
+import sys
+import threading
+import time
+
+import pytest
+
+from softtissue_estimator.support.latest_worker import LatestWorker
+
+
+def test_worker_takes_the_newest_and_hands_back_the_replaced():
+    release, begun, done = threading.Event(), threading.Event(), []
+
+    def work(item):
+        begun.set()
+        assert release.wait(10.0)
+        done.append(item)
+
+    crashes = []
+    worker = LatestWorker(work, crashes.append)
+    assert worker.put(1) is None
+    assert begun.wait(10.0)
+    assert worker.put(2) is None
+    assert worker.put(3) == 2
+    release.set()
+    end = time.monotonic() + 10.0
+    while len(done) < 2 and time.monotonic() < end:
+        time.sleep(0.001)
+    assert worker.stop(10.0)
+    assert (done, crashes) == ([1, 3], [])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere threads have no priority of their own")
+def test_worker_in_the_background_leaves_the_processor_to_others():
+    def priority(background):
+        found, done = [], threading.Event()
+
+        def work(_item):
+            found.append(os.getpriority(os.PRIO_PROCESS, threading.get_native_id()))
+            done.set()
+
+        worker = LatestWorker(work, found.append, background=background)
+        worker.put(1)
+        assert done.wait(5.0)
+        assert worker.stop(5.0)
+        return found[0]
+
+    here = os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+    assert priority(False) == here < priority(True)
+    assert os.getpriority(os.PRIO_PROCESS, threading.get_native_id()) == here
+
+
+def test_worker_reports_a_crash():
+    crashes, reported = [], threading.Event()
+
+    def crash(error):
+        crashes.append(error)
+        reported.set()
+
+    worker = LatestWorker(lambda item: 1 / item, crash)
+    worker.put(0)
+    assert reported.wait(10.0)
+    assert isinstance(crashes[0], ZeroDivisionError)
+    assert worker.stop(10.0)
