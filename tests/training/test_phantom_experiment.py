@@ -18,6 +18,7 @@ from softtissue_estimator.registration.elastic_registration import (
 from softtissue_estimator.view import picture
 from softtissue_training.cli import main
 from softtissue_training.evaluation.methods import parse_methods
+from softtissue_training.experiments.coherent_point_drift import DriftSettings
 from softtissue_training.experiments.phantom import variants
 from softtissue_training.experiments.phantom.case import load_phantom_case
 from softtissue_training.experiments.phantom.case_bag import write_case_bag
@@ -25,7 +26,6 @@ from softtissue_training.experiments.phantom.experiment import run_phantom
 from softtissue_training.experiments.phantom.own_case import own_phantom_case
 from softtissue_training.experiments.phantom.variants import variants_of
 from softtissue_training.phantom import bag as bag_format
-from softtissue_training.experiments.coherent_point_drift import DriftSettings
 from training.phantom_cases import MARKERS_M, bend, seen_points, write_case
 
 

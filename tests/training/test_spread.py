@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.organ.mesh import SurfaceMesh
-from softtissue_training.experiments.phantom.spread import spread_correspondences
 from softtissue_training.experiments.coherent_point_drift import spread_points
+from softtissue_training.experiments.phantom.spread import spread_correspondences
 
 SIGMA_M = 0.0005
 

@@ -1,1 +1,1 @@
-"""What is observed: tracked points with their places on the organ, the rigid motion that fits them, the visible share."""
+"""What is observed: tracked points with their places on the organ, their rigid motion, the visible share."""

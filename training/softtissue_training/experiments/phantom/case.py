@@ -16,6 +16,7 @@ from softtissue_estimator.organ.organ import Organ, load_organ
 from softtissue_estimator.organ.organ_file import read_organ_file
 from softtissue_estimator.organ.signed_distance import signed_distance
 from softtissue_estimator.organ.surface_patch import patch
+from softtissue_training.experiments.coherent_point_drift import spread_points
 from softtissue_training.experiments.paired_points import (
     PairedPoints,
     read_pair_of_lists,
@@ -23,7 +24,6 @@ from softtissue_training.experiments.paired_points import (
 )
 from softtissue_training.experiments.phantom.case_file import CaseFile, Pairs, read_case_file
 from softtissue_training.experiments.point_lists import read_points
-from softtissue_training.experiments.coherent_point_drift import spread_points
 
 FloatArray = NDArray[np.float64]
 

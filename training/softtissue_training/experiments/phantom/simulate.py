@@ -27,13 +27,13 @@ from softtissue_estimator.organ.signed_distance import signed_distance
 from softtissue_estimator.organ.surface_patch import patch
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
 from softtissue_estimator.view.rendering import vertex_normals
+from softtissue_training.experiments.coherent_point_drift import spread_points
 from softtissue_training.experiments.fcsv import write_fcsv
 from softtissue_training.experiments.labelled_points import LabelledPoints
 from softtissue_training.experiments.phantom.case_file import FILE_NAME as CASE_FILE_NAME
 from softtissue_training.organs.named_surface import organ_from_file
 from softtissue_training.physics.material import Material
 from softtissue_training.physics.solver import solve
-from softtissue_training.experiments.coherent_point_drift import spread_points
 
 FloatArray = NDArray[np.float64]
 

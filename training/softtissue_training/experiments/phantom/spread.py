@@ -21,8 +21,8 @@ from scipy.sparse.linalg import SuperLU, splu
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.observation.rigid import fit_rigid
 from softtissue_estimator.organ.mesh import SurfaceMesh, vertex_areas
-from softtissue_training.organs.surface_patch import edge_graph
 from softtissue_training.experiments.coherent_point_drift import spread_points
+from softtissue_training.organs.surface_patch import edge_graph
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -19,13 +19,13 @@ from softtissue_estimator.organ.mesh import sample_faces
 from softtissue_estimator.registration.elastic_registration import register_elastically
 from softtissue_estimator.registration.rigid_icp import rigid_icp
 from softtissue_training.evaluation.methods import Reading
-from softtissue_training.experiments.phantom.case import PhantomCase, SeenSurface
-from softtissue_training.experiments.phantom.spread import FEWEST_POINTS, spread_correspondences
 from softtissue_training.experiments.coherent_point_drift import (
     DriftSettings,
     coherent_point_drift,
     spread_points,
 )
+from softtissue_training.experiments.phantom.case import PhantomCase, SeenSurface
+from softtissue_training.experiments.phantom.spread import FEWEST_POINTS, spread_correspondences
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[str], None]
