@@ -106,7 +106,7 @@ def _elastic(config: EstimatorConfig) -> Estimator:
 
 
 def _paper(config: EstimatorConfig) -> Estimator:
-    return _construct("paper_estimator", "PaperEstimator", config)
+    return _construct("paper.estimator", "PaperEstimator", config)
 
 
 def _hybrid(config: EstimatorConfig) -> Estimator:
@@ -115,7 +115,7 @@ def _hybrid(config: EstimatorConfig) -> Estimator:
 
 def _construct(module: str, name: str, config: EstimatorConfig) -> Estimator:
     # Imported only when asked for: the elastic estimator must not wait for networks.
-    factory: Factory = getattr(importlib.import_module(f"softtissue_estimator.{module}"), name)
+    factory: Factory = getattr(importlib.import_module(f"softtissue_estimator.estimators.{module}"), name)
     return factory(config)
 
 
