@@ -2,11 +2,11 @@
 
 In turn, every observed point gets the closest point of the organ as it is estimated now, and the organ is estimated
 anew from these pairs (Besl and McKay's idea with an organ that bends). What makes the second step well posed is the
-elastic posterior: sparse loads on a neo-Hookean organ that is held where it is attached (`softtissue_estimator`,
-`elastic.posterior`). A pair says only how far the point is from the organ along the organ's normal (Chen and Medioni
-1992): along the surface nothing was seen, so nothing is claimed, and elasticity decides how far the surface slid. The
-standard deviation that pairs are granted falls from a coarse to the sensor's, so that the first turns, whose pairs are
-wrong, move the organ as a whole.
+elastic posterior: sparse loads on a neo-Hookean organ that is held where it is attached (`elastic.linear_gaussian`). A
+pair says only how far the point is from the organ along the organ's normal (Chen and Medioni 1992): along the surface
+nothing was observed, so nothing is claimed, and elasticity decides how far the surface slid. The standard deviation of
+the pairs falls from a coarse one to the sensor's, so that the first turns, whose pairs are wrong, move the organ as a
+whole.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from torch import Tensor
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent, to_tensor
+from softtissue_estimator.estimators.elastic.linear_gaussian import mean_displacement, standard_deviation
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
-from softtissue_estimator.estimators.elastic.posterior import mean_displacement, standard_deviation
 from softtissue_estimator.estimators.elastic.relevance import Amplitudes, determine_relevance
 from softtissue_estimator.estimators.elastic.solver import MODEL_ERROR_SHARE
 from softtissue_estimator.estimators.estimator import silent
@@ -40,8 +40,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_UPDATES = 2  # of the loads' variances, a turn
-_INDEPENDENT = 200  # as many pairs as tell something of their own: neighbours share the error of the model
+_VARIANCE_UPDATES = 2  # of the loads, a turn
+_INDEPENDENT_PAIRS = 200  # at most so many count in full: neighbours share the error of the model
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ class _Registration:
             variances, mean = amplitudes.variances, mean_displacement(tangent, amplitudes)
             if not self._pose_known:
                 self._move_points(pairs, mean)
-            # The first step is large, and what it crushes comes back in the next.
+            # The first step is large, and what it collapses comes back in the next.
             state = model.body.guarded(state, mean) if turn else mean
         pairs = self._pairs(mean, last)
         bent = torch.linalg.vector_norm(
@@ -255,15 +255,15 @@ class _Registration:
             response += along[:, axis, None] * to_tensor(moved, along.device)
         offset = rows @ tangent.offset.cpu().numpy()
         unexplained = (self._points - pairs.reference)[pairs.counted] - offset
-        seen = to_tensor(np.einsum("nd,nd->n", normal, unexplained), along.device)
+        observed = to_tensor(np.einsum("nd,nd->n", normal, unexplained), along.device)
         if not self._pose_known:
             free = to_tensor(rigid_columns(self._points[pairs.counted], normal), along.device)
-            response, seen = response - free @ (free.T @ response), seen - free @ (free.T @ seen)
-        precision = min(1.0, _INDEPENDENT / len(normal)) / sigma_m**2
+            response, observed = response - free @ (free.T @ response), observed - free @ (free.T @ observed)
+        precision = min(1.0, _INDEPENDENT_PAIRS / len(normal)) / sigma_m**2
         if variances is None:
             power = float(by_node.square().sum(dim=2).mean())
             variances = torch.full_like(
                 response[0, ::3], self._config.prior_sigma_m**2 / power, dtype=torch.float64
             )
         gram = precision * response.T @ response
-        return determine_relevance(gram, precision * response.T @ seen, variances, _UPDATES)
+        return determine_relevance(gram, precision * response.T @ observed, variances, _VARIANCE_UPDATES)

@@ -18,7 +18,7 @@ from softtissue_estimator.estimators.hybrid.input import (
     posterior_cells,
     remainder,
 )
-from softtissue_estimator.estimators.hybrid.posterior import make_reader, seen_misfit
+from softtissue_estimator.estimators.hybrid.posterior import make_reader, observed_misfit
 from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
 from softtissue_estimator.estimators.paper.network_input import (
     assemble_input,
@@ -91,7 +91,7 @@ def hybrid_case(organ: Organ, config: EstimatorConfig) -> NetworkCase:
     finally:
         elastic.close()
     mean, sigma = (torch.from_numpy(part) for part in reader.on_grid(estimate))
-    inputs = assemble_hybrid_input(channels, cells, mean, sigma, seen_misfit(estimate), spec)
+    inputs = assemble_hybrid_input(channels, cells, mean, sigma, observed_misfit(estimate), spec)
 
     def difference_mm(first: Tensor, second: Tensor) -> float:
         answers = [remainder(out[0].flatten(1)[:, cells].T.double(), sigma, spec) for out in (first, second)]

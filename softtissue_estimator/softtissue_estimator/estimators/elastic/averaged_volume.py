@@ -1,7 +1,7 @@
 """Volumetric strain of tetrahedra averaged at their nodes, so that a nearly incompressible organ does not lock.
 
 Constant strain in each of many tetrahedra cannot keep the volume of every one of them and still bend; stiffness then
-grows with lambda and not with the shape. The term of lambda in the energy therefore sees one strain a node, the mean
+grows with lambda and not with the shape. The term of lambda in the energy therefore acts on one strain a node, the mean
 over the elements around it (Bonet and Burton 1998):
 
     sum_n V_n lambda/2 theta_n^2,    V_n = sum_e V_e / 4,    V_n theta_n = sum_e V_e / 4 ln J_e.

@@ -7,7 +7,7 @@ from threadpoolctl import ThreadpoolController
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
-from softtissue_estimator.estimators.elastic.patch_average import SeenPatches, average_patches
+from softtissue_estimator.estimators.elastic.patch_average import ObservedPatches, average_patches
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.estimators.elastic.tracking import ElasticTracker
 from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progress, silent
@@ -18,7 +18,7 @@ from softtissue_estimator.organ.mesh import FloatArray
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
-ROTATION_PRIOR_RAD = 0.5
+ROTATION_PRIOR_RAD = 0.5  # standard deviation of the rotation where few points leave it open
 
 
 class ElasticEstimate(Estimate):
@@ -26,25 +26,25 @@ class ElasticEstimate(Estimate):
 
     Attributes
     ----------
-    seen : SeenPatches
+    patches : ObservedPatches
         What it was conditioned on.
     misfit : (c, 3) float64
-        Seen displacement of each of these minus the answer's, m.
+        Observed displacement of each of these minus the answer's, m.
     poisson_ratio : float
-        Of the organ, as far as what is seen tells.
+        Of the organ, as far as the observation tells.
     """
 
     def __init__(
         self,
         model: ElasticModel,
-        seen: SeenPatches,
+        patches: ObservedPatches,
         misfit: FloatArray,
         poisson_ratio: float,
         nodal_displacement: FloatArray,
         nodal_sigma: FloatArray,
         stages: dict[str, float],
     ) -> None:
-        self.seen, self.misfit, self.poisson_ratio = seen, misfit, poisson_ratio
+        self.patches, self.misfit, self.poisson_ratio = patches, misfit, poisson_ratio
         self._mesh = model.mesh
         self._nodal_displacement = nodal_displacement
         self._nodal_variance = nodal_sigma**2
@@ -131,20 +131,23 @@ class ElasticEstimator(Estimator):
 
     def _estimate(self, observation: Observation, model: ElasticModel) -> ElasticEstimate:
         watch = device_stopwatch(self._device)
-        seen = average_patches(observation, model.lookup)
+        patches = average_patches(observation, model.lookup)
         watch.lap("match")
         least = self._config.model_sigma_m
         motion = fit_rigid(
-            seen.reference, seen.reference + seen.displacement, seen.precision_with(least), ROTATION_PRIOR_RAD
+            patches.reference,
+            patches.reference + patches.displacement,
+            patches.precision_with(least),
+            ROTATION_PRIOR_RAD,
         )
         watch.lap("rigid")
-        solver = Solver(model, seen, motion, self._config.prior_sigma_m, least)
-        belief = solver.solve() if self._tracker is None else self._tracker.answer(solver)
+        solver = Solver(model, patches, motion, self._config.prior_sigma_m, least)
+        posterior = solver.solve() if self._tracker is None else self._tracker.answer(solver)
         watch.lap("solve")
-        sigma = solver.deviation(belief)
+        sigma = solver.deviation(posterior)
         watch.lap("uncertainty")
-        ratio = model.ratios.ratios[belief.ratio]
-        misfit, mean = solver.residual(belief), belief.mean.cpu().numpy()
-        estimate = ElasticEstimate(model, seen, misfit, ratio, mean, sigma, watch.stages)
+        ratio = model.ratios.ratios[posterior.ratio]
+        misfit, mean = solver.residual(posterior), posterior.mean.cpu().numpy()
+        estimate = ElasticEstimate(model, patches, misfit, ratio, mean, sigma, watch.stages)
         watch.lap("warp")
         return estimate

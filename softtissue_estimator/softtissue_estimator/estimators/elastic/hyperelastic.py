@@ -1,14 +1,10 @@
 """Neo-Hookean tetrahedra: internal forces of a deformed organ, and the organ made linear about that deformation.
 
-W = mu/2 (tr F^T F - 3) - mu ln J + lambda/2 (ln J)^2, J = det F, the law that the simulations of `softtissue_training`
-use by default. Elements that are crushed, or turned inside out by an extrapolation, follow the corotated linear law
-W = mu |S - I|^2 + lambda/2 tr(S - I)^2, F = R S, instead: it is finite everywhere and leads them back.
+The law of the elements is in `neo_hookean`. The volumetric strain is averaged at the nodes (`averaged_volume`), which
+coarse elements of a nearly incompressible organ need.
 
 Everything runs on one torch device. Forces are in double precision; the stiffness, which only decides how fast the
 iteration converges, in single.
-
-The volumetric strain is averaged at the nodes (`averaged_volume`), which coarse elements of a nearly incompressible
-organ need.
 """
 
 from dataclasses import dataclass
@@ -27,13 +23,17 @@ from softtissue_estimator.estimators.elastic.layered_cholesky import (
     factorise,
     layers_of,
 )
+from softtissue_estimator.estimators.elastic.neo_hookean import (
+    COLLAPSED_VOLUME_RATIO,
+    ElementResponse,
+    NeoHookeanElements,
+    determinant,
+)
 from softtissue_estimator.organ.mesh import FloatArray
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
-_CRUSHED = 0.2  # det F below which an element follows the corotated law
-_SMALLEST_STEP = 0.05
-_MOST_STRETCH = 2.5  # several times what tears a liver
-_TORN_SHARE = 0.002  # of the volume; single small elements turn for a step and come back
+_SMALLEST_STEP_SHARE = 0.05  # of a step that would collapse an element; where even this would, it is made
+_SHORTER_STEP = 0.7  # over the step tried before
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,28 +93,6 @@ class RestingBody:
         return Tangent(state, offset, turned)
 
 
-@dataclass(frozen=True, eq=False)
-class _Elements:
-    """What forces and stiffness of all elements are made of.
-
-    Parameters
-    ----------
-    stress : (m, 3, 3) float64
-        First Piola-Kirchhoff stress over Young's modulus.
-    spatial : (m, 4, 3) float64
-        a: gradients of the shape functions in space.
-    coefficient : (m,) float64
-        c: the stiffness between corners i and j is V (c a_j a_i^T + mu g_i . g_j I), and lambda's part.
-    own : (m,) bool
-        Elements whose lambda's part is their own, V lambda a_i a_j^T; that of the others is averaged.
-    """
-
-    stress: Tensor
-    spatial: Tensor
-    coefficient: Tensor
-    own: Tensor
-
-
 class HyperelasticBody:
     """Tetrahedra with Young's modulus one, held by springs between its nodes and places in space.
 
@@ -128,6 +106,13 @@ class HyperelasticBody:
     loads : (n, p)
         B: nodal forces of unit loads, for each component.
     device : torch.device
+
+    Attributes
+    ----------
+    count : int
+        Nodes, n.
+    volumes : (m,) float64 m^3
+        Of the tetrahedra at rest.
     """
 
     def __init__(
@@ -137,21 +122,22 @@ class HyperelasticBody:
         self._nodes = torch.from_numpy(mesh.nodes).to(device)
         self._tets = torch.from_numpy(mesh.tets).to(device)
         self._gradients = torch.from_numpy(shape_gradients(mesh)).to(device)  # (m, 4, 3)
-        self._volumes = torch.from_numpy(mesh.volumes).to(device)
+        self.volumes = torch.from_numpy(mesh.volumes).to(device)
         self._springs = torch.from_numpy(np.ascontiguousarray(springs)).to(device)
         self._loads = torch.kron(torch.from_numpy(loads).float(), torch.eye(3)).to(device)
-        self._identity = torch.eye(3, dtype=torch.float64, device=device)
         self._layers = _layers(mesh, springs)
         self._averaged = AveragedVolume(mesh, self._layers, device)
+        self._elements = NeoHookeanElements(self._gradients, self._averaged)
         dof = 3 * mesh.tets[:, :, None] + np.arange(3)  # (m, 4, 3)
         rows, columns = np.broadcast_arrays(dof[:, :, :, None, None], dof[:, None, None])
         self._entry = torch.from_numpy(self._layers.positions(rows.reshape(-1), columns.reshape(-1))).to(
             device
         )
         # What every tangent shares: the springs, and mu times V g_i . g_j on the diagonal of each block.
-        weighted = self._gradients * self._volumes[:, None, None]
+        weighted = self._gradients * self.volumes[:, None, None]
+        identity = torch.eye(3, dtype=torch.float64, device=device)
         dots = torch.einsum("eia,eja->eij", weighted, self._gradients)
-        shared = torch.einsum("eij,ab->eiajb", dots, self._identity).float().reshape(-1)
+        shared = torch.einsum("eij,ab->eiajb", dots, identity).float().reshape(-1)
         springs_of_all = np.asarray(np.kron(springs, np.eye(3)), dtype=np.float64)
         self._held = torch.from_numpy(self._layers.store(springs_of_all)).float().to(device)
         self._sheared = torch.zeros_like(self._held).index_add_(0, self._entry, shared)
@@ -176,7 +162,7 @@ class HyperelasticBody:
             If the stiffness cannot be factorised: nothing holds the body.
         """
         law = lame_constants(poisson_ratio)
-        elements = self._neo_hookean(self.deformation_gradient(torch.zeros_like(self._nodes)), *law)
+        elements = self._elements.response(self.deformation_gradient(torch.zeros_like(self._nodes)), *law)
         factor = self._factor(elements, *law)
         if factor is None:
             raise OrganError("elastic model: expected a stiffness that can be factorised, got a singular one")
@@ -202,81 +188,42 @@ class HyperelasticBody:
         """
         law = lame_constants(poisson_ratio)
         gradient = self.deformation_gradient(state)
-        elements = self._neo_hookean(gradient, *law)
+        elements = self._elements.response(gradient, *law)
         force = self._nodal_force(elements.stress) + self._springs @ (state - rest)
         factor = self._factor(elements, *law)
         if factor is None:
             # Compressed or overstretched so far that it would buckle; the corotated stiffness is always positive.
-            factor = self._factor(self._corotated(gradient, self._gradients, *law), *law)
+            factor = self._factor(self._elements.corotated(gradient, *law), *law)
         if factor is None:
             raise OrganError("elastic model: expected a stiffness that can be factorised, got a singular one")
         step = factor.solve(force.float().reshape(-1, 1))
         offset = state - step.double().reshape(-1, 3)
         return Tangent(state, offset, factor.solve(self._loads))
 
-    def is_torn(self, displacement: Tensor) -> bool:
-        """Tell whether a displacement (n, 3) m does to more than a few elements what no tissue endures.
-
-        They are turned inside out, or as long as an incompressible element that is stretched `_MOST_STRETCH` times.
-        """
-        gradient = self.deformation_gradient(displacement)
-        inverted = determinant(gradient) < 0.0
-        length = gradient.square().sum(dim=(1, 2))  # of the principal stretches, squared
-        impossible = inverted | (length > _MOST_STRETCH**2 + 2.0 / _MOST_STRETCH)
-        return bool(self._volumes[impossible].sum() > _TORN_SHARE * self._volumes.sum())
-
     def guarded(self, start: Tensor, end: Tensor) -> Tensor:
-        """Go from one displacement (n, 3) m towards another, as far as no sound element is crushed on the way."""
+        """Go from one displacement (n, 3) m towards another, as far as no sound element collapses on the way."""
         before = determinant(self.deformation_gradient(start))
-        sound = before > _CRUSHED
+        sound = before > COLLAPSED_VOLUME_RATIO
         share = 1.0
-        while share > _SMALLEST_STEP:
+        while share > _SMALLEST_STEP_SHARE:
             state = start + share * (end - start)
             after = determinant(self.deformation_gradient(state))
-            if not bool((sound & (after < 0.5 * _CRUSHED)).any()):
+            if not bool((sound & (after < 0.5 * COLLAPSED_VOLUME_RATIO)).any()):
                 return state
-            share *= 0.7
+            share *= _SHORTER_STEP
         return start + share * (end - start)
 
-    def _neo_hookean(self, gradient: Tensor, lame: float, shear: float) -> _Elements:
-        crushed = determinant(gradient) < _CRUSHED
-        sound = torch.where(crushed[:, None, None], self._identity, gradient)
-        inverse = torch.linalg.inv(sound)
-        coefficient = shear - self._averaged.pressure(torch.log(determinant(sound)), lame)
-        stress = shear * sound - coefficient[:, None, None] * inverse.transpose(1, 2)
-        elements = _Elements(stress, self._gradients @ inverse, coefficient, crushed)
-        if bool(crushed.any()):
-            other = self._corotated(gradient[crushed], self._gradients[crushed], lame, shear)
-            elements.stress[crushed] = other.stress
-            elements.spatial[crushed] = other.spatial
-            elements.coefficient[crushed] = other.coefficient
-        return elements
-
-    def _corotated(self, gradient: Tensor, shape_gradient: Tensor, lame: float, shear: float) -> _Elements:
-        """Do as `_neo_hookean` for the corotated law, the change of the rotation left out of the stiffness."""
-        left, _, right = torch.linalg.svd(gradient)
-        # A rotation, not a reflection: the direction that is compressed most is turned.
-        left[:, :, 2] *= determinant(left @ right)[:, None]
-        turn = left @ right
-        strain = turn.transpose(1, 2) @ gradient - self._identity
-        strain = 0.5 * (strain + strain.transpose(1, 2))
-        trace = strain.diagonal(dim1=1, dim2=2).sum(dim=1)
-        inner = 2.0 * shear * strain + (lame * trace)[:, None, None] * self._identity
-        spatial = shape_gradient @ turn.transpose(1, 2)
-        own = torch.ones_like(trace, dtype=torch.bool)
-        return _Elements(turn @ inner, spatial, torch.full_like(trace, shear), own)
-
     def _nodal_force(self, stress: Tensor) -> Tensor:
-        corner = torch.einsum("eab,eib->eia", stress * self._volumes[:, None, None], self._gradients)
+        corner = torch.einsum("eab,eib->eia", stress * self.volumes[:, None, None], self._gradients)
         force = torch.zeros_like(self._nodes)
         return force.index_add_(0, self._tets.reshape(-1), corner.reshape(-1, 3))
 
-    def _factor(self, elements: _Elements, lame: float, shear: float) -> LayeredFactor | None:
+    def _factor(self, elements: ElementResponse, lame: float, shear: float) -> LayeredFactor | None:
         return factorise(self._layers, self._stiffness(elements, lame, shear))
 
-    def _stiffness(self, elements: _Elements, lame: float, shear: float) -> Tensor:
+    def _stiffness(self, elements: ElementResponse, lame: float, shear: float) -> Tensor:
         spatial = elements.spatial.float()
-        weighted = spatial * self._volumes.float()[:, None, None]
+        weighted = spatial * self.volumes.float()[:, None, None]
         products = torch.einsum("eia,ejb->eiajb", weighted, spatial)
         entries = products.permute(0, 1, 4, 3, 2) * elements.coefficient.float()[:, None, None, None, None]
         own = elements.own
@@ -294,13 +241,6 @@ def _layers(mesh: VolumeMesh, springs: FloatArray) -> Layers:
     rows, columns = np.repeat(mesh.tets, 4, axis=1).reshape(-1), np.tile(mesh.tets, (1, 4)).reshape(-1)
     around = csr_array((np.ones(len(rows)), (rows, columns)), shape=springs.shape)
     return layers_of(csr_array(around @ around + csr_array(np.abs(springs))), 3)
-
-
-def determinant(matrices: Tensor) -> Tensor:
-    """Return the determinants (m,) of matrices (m, 3, 3), without a factorisation, which takes longer."""
-    first, second, third = matrices.unbind(1)
-    found: Tensor = (first * torch.linalg.cross(second, third)).sum(dim=1)
-    return found
 
 
 def to_tensor(values: FloatArray, device: torch.device) -> Tensor:

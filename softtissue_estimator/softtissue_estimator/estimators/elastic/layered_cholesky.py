@@ -19,7 +19,7 @@ from torch import Tensor
 
 from softtissue_estimator.organ.mesh import FloatArray, IntArray
 
-_SEARCHES = 3  # for an end of the mesh
+_END_SEARCHES = 3  # each from the farthest node found before: an end of the mesh, for thin layers
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ def layers_of(adjacency: csr_array, repeat: int) -> Layers:
     weights = csr_array((np.ones(adjacency.nnz), adjacency.indices, adjacency.indptr), shape=adjacency.shape)
     while (level < 0).any():  # once for every connected part
         start = int(np.flatnonzero(level < 0)[0])
-        for _ in range(_SEARCHES):
+        for _ in range(_END_SEARCHES):
             distance = dijkstra(weights, indices=[start])[0]
             reached = np.isfinite(distance)
             start = int(np.where(reached, distance, -1.0).argmax())

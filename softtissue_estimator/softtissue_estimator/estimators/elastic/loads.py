@@ -1,4 +1,7 @@
-"""What may push an organ: smooth patches all over its surface, and a uniform force on all of it."""
+"""The loads that may push an organ, its traction basis: smooth patches all over its surface, and its own weight.
+
+Whatever pushes is a sum of these, each with an amplitude (a vector); `linear_gaussian` finds the amplitudes.
+"""
 
 import numpy as np
 
@@ -7,16 +10,16 @@ from softtissue_estimator.organ.mesh import FloatArray
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
 PATCH_SPACING_M = 0.012
-PATCH_WIDTH = 11.0 / 12.0  # standard deviation over spacing
-MOST_PATCHES = 240
-_LEAST_WEIGHT = 1e-9
+PATCH_WIDTH_RATIO = 11.0 / 12.0  # standard deviation of a patch over the spacing
+MOST_PATCHES = 240  # on a larger organ they are spread wider
+_LEAST_RELATIVE_WEIGHT = 1e-9
 """Of a patch's middle. What is farther out is cut off: in single precision it would become denormal numbers, with which
 processors compute a hundred times as slowly."""
-_LEAST_FREE = 0.15  # share of a patch that must not be attached
+_LEAST_FREE_SHARE = 0.15  # of a patch, that must not be attached
 
 
 def load_basis(mesh: VolumeMesh, attached_areas: FloatArray | None = None) -> FloatArray:
-    """Nodal forces of unit loads, (n, p); each column sums to one.
+    """Nodal forces of the traction basis: unit loads, (n, p); each column sums to one.
 
     Gaussian patches about points of the surface that are spread evenly, at most `MOST_PATCHES`, and last the weight of
     the organ. Nothing pushes where the organ is attached.
@@ -32,15 +35,15 @@ def load_basis(mesh: VolumeMesh, attached_areas: FloatArray | None = None) -> Fl
     points = mesh.nodes[surface]
     centres, spacing = _spread(points)
     squared = ((points[:, None] - points[centres]) ** 2).sum(axis=2)
-    weight = np.exp(-squared / (2.0 * (PATCH_WIDTH * spacing) ** 2))
-    weight[weight < _LEAST_WEIGHT] = 0.0
+    weight = np.exp(-squared / (2.0 * (PATCH_WIDTH_RATIO * spacing) ** 2))
+    weight[weight < _LEAST_RELATIVE_WEIGHT] = 0.0
     patches = np.zeros((len(mesh.nodes), len(centres)))
     patches[surface] = weight * areas[surface, None]
     whole = patches.sum(axis=0)
     if attached_areas is not None:
         patches *= (1.0 - attached_areas / np.maximum(areas, 1e-12)).clip(0.0, 1.0)[:, None]
     free = patches.sum(axis=0)
-    kept = free > _LEAST_FREE * whole
+    kept = free > _LEAST_FREE_SHARE * whole
     volumes = nodal_volumes(mesh)
     return np.ascontiguousarray(np.column_stack([patches[:, kept] / free[kept], volumes / volumes.sum()]))
 

@@ -18,14 +18,15 @@ from softtissue_estimator.organ.surface_lookup import SurfaceLookup
 from softtissue_estimator.organ.volume_mesh import VolumeMesh, tetrahedralise
 from softtissue_estimator.support.cache import Arrays, cached_arrays
 
-_VERSION = 3  # of what is cached
-_GROUND_SHARE_HELD = 1e-5
-_GROUND_SHARE_FREE = 0.03
+_CACHE_VERSION = 3  # of the tetrahedra and what is located in them
+# Stiffness of the springs to the surroundings over the organ's own: next to nothing where the organ is attached, and
+# where it is attached nowhere as much as keeps it from swimming away.
+_GROUND_SHARE_HELD, _GROUND_SHARE_FREE = 1e-5, 0.03
 
 
 @dataclass(frozen=True, eq=False)
 class ElasticModel:
-    """An organ as the elastic estimator sees it.
+    """An organ, prepared for the elastic estimator.
 
     Parameters
     ----------
@@ -74,10 +75,12 @@ def build_model(
     """
     if not organ.attached.any():
         progress(
-            "the organ is attached nowhere: it follows the rigid motion of what is seen, and bends freely"
+            "the organ is attached nowhere: it follows the rigid motion of the observed surface, and bends freely"
         )
     # By the surface and the query points alone: another attached region keeps the mesh.
-    stored = cached_arrays("tetrahedra", organ.geometry_digest, _VERSION, {}, lambda: _fill(organ, progress))
+    stored = cached_arrays(
+        "tetrahedra", organ.geometry_digest, _CACHE_VERSION, {}, lambda: _fill(organ, progress)
+    )
     mesh = VolumeMesh(stored["nodes"], stored["tets"])
     attached = mesh.interpolation(organ.surface.vertices[organ.attached])
     areas = vertex_areas(organ.surface)[organ.attached]
@@ -95,10 +98,10 @@ def build_model(
 def _springs(mesh: VolumeMesh, attached: csr_array, stiffness: FloatArray) -> FloatArray:
     """Stiffness of the springs that hold an organ, over Young's modulus, (n, n) 1/m.
 
-    Attached surface is held by springs as stiff as the organ's own tissue of the given thickness, which sees an
+    Attached surface is held by springs as stiff as the organ's own tissue of the given thickness, which resolves an
     attached region finer than the coarse mesh does and needs no node exactly on its edge. Weak springs between the
     organ and its surroundings keep rigid motions finite. Where nothing is attached they are all that holds; an organ
-    then follows the rigid motion of what is seen.
+    then follows the rigid motion of the observed surface.
 
     Parameters
     ----------

@@ -10,13 +10,13 @@ from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.organ.mesh import FloatArray, IntArray, sum_by_index
 from softtissue_estimator.organ.surface_lookup import SurfaceLookup
 
-_SMALLEST_SIGMA_M = 1e-5
-_OUTLIER_FACTOR = 6.0
-_STUDENT_FREEDOM = 4.0
+_SMALLEST_SIGMA_M = 1e-5  # no sensor is surer; a point that claims zero would outweigh all others
+_OUTLIER_DEVIATIONS = 6.0  # standard deviations from a patch's mean from which a point is weighted down
+_STUDENT_FREEDOM = 4.0  # degrees of freedom: heavy tails, and still a finite variance
 
 
 @dataclass(frozen=True, eq=False)
-class SeenPatches:
+class ObservedPatches:
     """Observations of one small patch of surface each, averaged.
 
     Parameters
@@ -35,7 +35,7 @@ class SeenPatches:
         return np.asarray(1.0 / (1.0 / self.precision + model_sigma_m**2))
 
 
-def average_patches(observation: Observation, lookup: SurfaceLookup) -> SeenPatches:
+def average_patches(observation: Observation, lookup: SurfaceLookup) -> ObservedPatches:
     """Average the points of each patch of about 5 mm.
 
     Raises
@@ -57,7 +57,7 @@ def average_patches(observation: Observation, lookup: SurfaceLookup) -> SeenPatc
     total, mean = _weighted_means(patch, weight, moved, count)
     deviation = _deviation(moved, mean, patch, weight)
     # The scatter within patches tells gross outliers from noise.
-    limit = _OUTLIER_FACTOR
+    limit = _OUTLIER_DEVIATIONS
     if deviation.max() > limit:
         limit *= max(1.0, float(np.median(deviation)))
     for _ in range(2):
@@ -67,8 +67,8 @@ def average_patches(observation: Observation, lookup: SurfaceLookup) -> SeenPatc
         total, mean = _weighted_means(patch, robust, moved, count)
         deviation = _deviation(moved, mean, patch, weight)
     _, place = _weighted_means(patch, robust, observation.reference, count)
-    seen = total > 0.0
-    return SeenPatches(place[seen], mean[seen], total[seen])
+    observed = total > 0.0
+    return ObservedPatches(place[observed], mean[observed], total[observed])
 
 
 def student_weights(residual: FloatArray, precision: FloatArray) -> FloatArray:

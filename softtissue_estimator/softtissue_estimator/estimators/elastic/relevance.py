@@ -1,8 +1,8 @@
-"""Which few of many possible loads explain what is seen: automatic relevance determination of a linear model.
+"""Which few of many possible loads explain an observation: automatic relevance determination of a linear model.
 
 Amplitudes a of groups of three (the components of one load) have the prior N(0, v_g I_3), one variance v_g a group, and
-are seen through a linear model with Gaussian noise. Maximising the evidence over the variances drives most of them to
-zero (MacKay 1992; Tipping 2001): loads in surgery are few and local.
+are observed through a linear model with Gaussian noise. Maximising the evidence over the variances drives most of them
+to zero (MacKay 1992; Tipping 2001): loads in surgery are few and local.
 """
 
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-_LEAST_UNDETERMINED = 1e-6
-_LEAST_SHARE = 1e-12
-_SMALL = 160  # rows of a triangular matrix that is inverted at once
+_LEAST_DETERMINED_SHARE = 1e-6  # 1 - S / v of a load: zero where the observation says nothing about it
+_LEAST_VARIANCE_SHARE = 1e-12  # of the largest: an irrelevant load keeps a variance above zero
+_DIRECT_ROWS = 160  # up to which a triangular matrix is inverted at once: halving gains nothing there
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Amplitudes:
         return self.variances.sqrt().repeat_interleave(3)
 
     def log_evidence(self, right: Tensor, power: float) -> float:
-        """Log-probability of what is seen, with these variances and without the part that the noise alone makes.
+        """Log-probability of the observation, with these variances and without the part that the noise alone makes.
 
         Parameters
         ----------
@@ -73,8 +73,8 @@ def determine_relevance(gram: Tensor, right: Tensor, variances: Tensor, updates:
         # Posterior over prior variance.
         remaining = invert_lower(factor).square().sum(dim=0).view(-1, 3).mean(dim=1)
         power = mean.square().view(-1, 3).mean(dim=1)
-        fixed_point = power / (1.0 - remaining).clamp_min(_LEAST_UNDETERMINED)
-        variances = (variances * fixed_point.clamp_min(_LEAST_SHARE * float(variances.max()))).sqrt()
+        fixed_point = power / (1.0 - remaining).clamp_min(_LEAST_DETERMINED_SHARE)
+        variances = (variances * fixed_point.clamp_min(_LEAST_VARIANCE_SHARE * float(variances.max()))).sqrt()
     factor, mean = _posterior(gram, right, variances)
     return Amplitudes(mean, variances, factor)
 
@@ -82,7 +82,7 @@ def determine_relevance(gram: Tensor, right: Tensor, variances: Tensor, updates:
 def invert_lower(factor: Tensor) -> Tensor:
     """Invert a lower triangular matrix (n, n), by halves: products are faster than solving for every column."""
     size = len(factor)
-    if size <= _SMALL:
+    if size <= _DIRECT_ROWS:
         identity = torch.eye(size, dtype=factor.dtype, device=factor.device)
         small: Tensor = torch.linalg.solve_triangular(factor, identity, upper=False)
         return small

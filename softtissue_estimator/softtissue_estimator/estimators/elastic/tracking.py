@@ -9,18 +9,19 @@ from dataclasses import dataclass
 
 import torch
 
-from softtissue_estimator.estimators.elastic.solver import Belief, Guide, Solver, guide_of
+from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart, warm_start
+from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.inference.device import one_thread
 from softtissue_estimator.support.latest_worker import LatestWorker
 
 _log = logging.getLogger(__name__)
-_REVIVED_SHARE = 1e-3
-_DOUBT_EVERY = 4  # steps of the thread, another Poisson's ratio is tried
-_CLEARLY_MORE = 1.0  # logarithm of the evidence's ratio from which it is believed
-_STILL_M = 0.001  # an organ that has moved by less since it was made linear is so nearly enough
+_LEAST_VARIANCE_SHARE = 1e-3  # of the largest: with less no load starts a step of the thread
+_STEPS_PER_RATIO_TRIAL = 4  # of the thread, which tries another Poisson's ratio in one of them
+_LEAST_LOG_EVIDENCE_GAIN = 1.0  # from which on another ratio is taken: a smaller one may be noise
+_STILL_DISTANCE_M = 0.001  # an organ that has moved by less since it was made linear is so nearly enough
 _SETTLED_STEPS = 12  # of the thread about a still organ; every ratio nearby is tried in as many
-_REFRESH_S = 1.0  # after which it makes another: what is seen of a still organ may change
-_START_UPDATES = 2  # of the variances, of all loads; the thread makes more
+_STILL_REFRESH_S = 1.0  # after which it makes another: the observed part of a still organ may change
+_START_VARIANCE_UPDATES = 2  # of all loads; the thread makes more
 _STOP_TIMEOUT_S = 3.0  # several times what a step takes
 
 
@@ -29,7 +30,7 @@ class _Task:
     """An answered observation, to be explained better."""
 
     solver: Solver
-    belief: Belief
+    posterior: Posterior
     variances: torch.Tensor
     epoch: int
     guarded: bool
@@ -47,52 +48,57 @@ class ElasticTracker:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._guide: Guide | None = None
-        self._rigid = False  # whether the guide is about a rigid motion
+        self._warm_start: WarmStart | None = None
+        self._rigid = False  # whether it is about a rigid motion
         self._ratio: int | None = None  # survives a loss of track: the organ stays the same
         self._epoch = 0
         self._settled = 0  # steps since the organ last moved
         self._stepped_s = 0.0
-        self._doubts = itertools.cycle([0] * (_DOUBT_EVERY - 1) + [1] + [0] * (_DOUBT_EVERY - 1) + [-1])
+        none = [0] * (_STEPS_PER_RATIO_TRIAL - 1)
+        self._ratio_trials = itertools.cycle([*none, 1, *none, -1])
         self._closed = False
         self._worker: LatestWorker[_Task] | None = None
 
-    def answer(self, solver: Solver) -> Belief:
+    def answer(self, solver: Solver) -> Posterior:
         """Explain the newest observation."""
         with self._lock:
-            guide, rigid, epoch, ratio = self._guide, self._rigid, self._epoch, self._ratio
-        belief = None if guide is None else solver.follow(guide)
+            earlier, rigid, epoch, ratio = self._warm_start, self._rigid, self._epoch, self._ratio
+        posterior = None if earlier is None else solver.follow(earlier)
         started = None
-        if belief is None or guide is None:
-            belief = solver.start(_START_UPDATES)
-            variances, rigid = belief.amplitudes.variances, True
+        if posterior is None or earlier is None:
+            posterior = solver.start(_START_VARIANCE_UPDATES)
+            variances, rigid = posterior.amplitudes.variances, True
             # What comes before the thread has made a step follows this answer, which takes long.
-            started = guide_of(belief)
+            started = warm_start(posterior)
         else:
             # Loads that have become irrelevant get a little back, so that a new one can be found.
-            floor = _REVIVED_SHARE * float(guide.all_variances.max())
-            variances = guide.all_variances.clamp_min(floor)
-        task = _Task(solver, belief, variances, epoch, not rigid, ratio)
-        still = guide is not None and not rigid and _distance(belief.mean, guide.tangent.state) < _STILL_M
+            floor = _LEAST_VARIANCE_SHARE * float(earlier.all_variances.max())
+            variances = earlier.all_variances.clamp_min(floor)
+        task = _Task(solver, posterior, variances, epoch, not rigid, ratio)
+        still = (
+            earlier is not None
+            and not rigid
+            and _distance(posterior.mean, earlier.tangent.state) < _STILL_DISTANCE_M
+        )
         with self._lock:
             if not still:
                 self._settled = 0
-            elif self._settled >= _SETTLED_STEPS and time.monotonic() - self._stepped_s < _REFRESH_S:
-                return belief
+            elif self._settled >= _SETTLED_STEPS and time.monotonic() - self._stepped_s < _STILL_REFRESH_S:
+                return posterior
             if started is not None and epoch == self._epoch:
-                self._guide, self._rigid = started, True
+                self._warm_start, self._rigid = started, True
             if self._worker is None and not self._closed:
                 self._worker = LatestWorker(self._improve, self._on_crash, "tracker", background=True)
                 # An interpreter that ends while torch works in a thread aborts.
                 atexit.register(self.close)
             if self._worker is not None:
                 self._worker.put(task)
-        return belief
+        return posterior
 
     def forget(self) -> None:
         """Forget all observations."""
         with self._lock:
-            self._guide = self._ratio = None
+            self._warm_start = self._ratio = None
             self._epoch += 1
 
     def close(self) -> None:
@@ -111,20 +117,20 @@ class ElasticTracker:
         with self._lock:
             if task.epoch == self._epoch:
                 self._settled = self._settled + 1 if better.ratio == self._ratio else 0
-                self._guide, self._rigid, self._ratio = guide_of(better), False, better.ratio
+                self._warm_start, self._rigid, self._ratio = warm_start(better), False, better.ratio
                 self._stepped_s = time.monotonic()
 
-    def _improved(self, task: _Task) -> Belief:
+    def _improved(self, task: _Task) -> Posterior:
         better = self._step(task, task.ratio)
-        doubt = next(self._doubts)
-        if doubt and task.guarded and better.ratio + doubt in task.solver.ratios:
-            other = self._step(task, better.ratio + doubt)
-            if other.log_evidence > better.log_evidence + _CLEARLY_MORE:
+        direction = next(self._ratio_trials)
+        if direction and task.guarded and better.ratio + direction in task.solver.ratios:
+            other = self._step(task, better.ratio + direction)
+            if other.log_evidence > better.log_evidence + _LEAST_LOG_EVIDENCE_GAIN:
                 better = other
         return better
 
-    def _step(self, task: _Task, ratio: int | None) -> Belief:
-        return task.solver.improve(task.belief, task.variances, guarded=task.guarded, ratio=ratio)
+    def _step(self, task: _Task, ratio: int | None) -> Posterior:
+        return task.solver.improve(task.posterior, task.variances, guarded=task.guarded, ratio=ratio)
 
     def _on_crash(self, error: BaseException) -> None:
         _log.error("the elastic posterior was not improved between frames: %s", error)

@@ -17,14 +17,14 @@ from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progr
 from softtissue_estimator.estimators.hybrid.checkpoint import load_hybrid_checkpoint
 from softtissue_estimator.estimators.hybrid.input import (
     HybridSpec,
-    SeenMisfit,
+    ObservedMisfit,
     assemble_hybrid_input,
     hybrid_grid,
     posterior_cells,
     remainder,
     sample_field,
 )
-from softtissue_estimator.estimators.hybrid.posterior import PosteriorReader, make_reader, seen_misfit
+from softtissue_estimator.estimators.hybrid.posterior import PosteriorReader, make_reader, observed_misfit
 from softtissue_estimator.estimators.paper.grid import VoxelGrid
 from softtissue_estimator.estimators.paper.network_input import OrganChannels, cached_channels
 from softtissue_estimator.inference.captured_call import CapturedCall
@@ -167,14 +167,17 @@ class HybridEstimator(Estimator):
 
     def _inputs(self, elastic: ElasticEstimate, prepared: _Prepared) -> Tensor:
         mean, sigma = prepared.reader.on_grid(elastic)
-        seen = seen_misfit(elastic)
+        observed = observed_misfit(elastic)
         return assemble_hybrid_input(
             prepared.channels,
             prepared.cells,
             to_device(mean, self._device),
             to_device(sigma, self._device),
-            SeenMisfit(
-                *(to_device(part.numpy(), self._device) for part in (seen.reference, seen.misfit, seen.sigma))
+            ObservedMisfit(
+                *(
+                    to_device(part.numpy(), self._device)
+                    for part in (observed.reference, observed.misfit, observed.sigma)
+                )
             ),
             self._spec,
         )

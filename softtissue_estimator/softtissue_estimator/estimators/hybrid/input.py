@@ -1,6 +1,6 @@
 """What the hybrid network reads and what its output means: one implementation for training and use.
 
-It reads, on a grid around the organ, the elastic posterior (mean, logarithm of the standard deviation), what was seen
+It reads, on a grid around the organ, the elastic posterior (mean, logarithm of the standard deviation), the observation
 (where, how precisely, and how far from the posterior's mean) and the organ (signed distance, attached region). Its
 four outputs are smooth fields f and g; with the posterior's mean m(p) and standard deviation s(p), known exactly at
 every point p, the answer is
@@ -46,8 +46,8 @@ HYBRID_CHANNELS = (
 VECTOR_CHANNELS = ((2, 3, 4), (7, 8, 9))
 """Places of the components of vectors among the channels."""
 HYBRID_SCALES = (50.0, 1.0, 50.0, 50.0, 50.0, 1.0, 1.0, 500.0, 500.0, 500.0)
-_SIGMA_UNIT_M = 0.001  # log(sigma / 1 mm); a patch seen with a standard deviation of 1 mm is half visible
-_SMALLEST_SIGMA_M = 1e-5
+_SIGMA_UNIT_M = 0.001  # log(sigma / 1 mm); a patch observed with a standard deviation of 1 mm is half visible
+_SMALLEST_SIGMA_M = 1e-5  # keeps logarithm and precision finite
 
 
 @dataclass(frozen=True)
@@ -88,17 +88,17 @@ class HybridSpec:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenMisfit:
-    """What was seen beside what the posterior says there.
+class ObservedMisfit:
+    """The observation beside what the posterior says there.
 
     Attributes
     ----------
     reference
         (c, 3) preoperative positions, metres.
     misfit
-        (c, 3) seen displacement minus the posterior's mean, metres.
+        (c, 3) observed displacement minus the posterior's mean, metres.
     sigma
-        (c,) standard deviation of each component of the seen displacement, metres.
+        (c,) standard deviation of each component of the observed displacement, metres.
     """
 
     reference: Tensor
@@ -107,7 +107,7 @@ class SeenMisfit:
 
 
 def hybrid_grid(surface: SurfaceMesh, spec: HybridSpec) -> VoxelGrid:
-    """Return the grid on which a network of this specification sees the organ: its bounding box and a margin."""
+    """Return the grid on which a network of this specification is given the organ: its bounding box and a margin."""
     return VoxelGrid.covering(
         surface.vertices.min(axis=0),
         surface.vertices.max(axis=0),
@@ -123,7 +123,12 @@ def posterior_cells(signed_distance: Tensor, spacing: float) -> Tensor:
 
 
 def assemble_hybrid_input(
-    organ: OrganChannels, cells: Tensor, mean: Tensor, sigma: Tensor, seen: SeenMisfit, spec: HybridSpec
+    organ: OrganChannels,
+    cells: Tensor,
+    mean: Tensor,
+    sigma: Tensor,
+    observed: ObservedMisfit,
+    spec: HybridSpec,
 ) -> Tensor:
     """Stack and scale the channels of one organ and one observation.
 
@@ -147,12 +152,12 @@ def assemble_hybrid_input(
     posterior = (*mean.unbind(1), logarithm)
     flat = stacked.view(-1, len(HYBRID_CHANNELS))
     flat[cells, 2:6] = torch.stack([_scaled(*pair) for pair in zip(posterior, scales[2:6], strict=True)], 1)
-    visible = _SIGMA_UNIT_M / (_SIGMA_UNIT_M + seen.sigma)
+    visible = _SIGMA_UNIT_M / (_SIGMA_UNIT_M + observed.sigma)
     # Scaled before they are averaged: there are far fewer points than cells.
-    found = (visible, *seen.misfit.unbind(1))
+    found = (visible, *observed.misfit.unbind(1))
     values = torch.stack([_scaled(*pair) for pair in zip(found, scales[6:], strict=True)], 1)
-    precision = seen.sigma.double().clamp_min(_SMALLEST_SIGMA_M).pow(-2)
-    stacked[..., 6:] = rasterise(organ.grid, seen.reference, values, precision)[0]
+    precision = observed.sigma.double().clamp_min(_SMALLEST_SIGMA_M).pow(-2)
+    stacked[..., 6:] = rasterise(organ.grid, observed.reference, values, precision)[0]
     return to_batch(stacked)
 
 

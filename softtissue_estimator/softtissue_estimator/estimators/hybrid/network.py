@@ -1,7 +1,7 @@
 """The hybrid network: a small 3D U-Net for the remainder after the elastic posterior, and how sure it is of it.
 
 It is a function of tensors alone. Its output weights start at zero, so that training begins exactly at the elastic
-posterior (`hybrid_input.remainder`).
+posterior (`input.remainder`).
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import torch
 from scipy.sparse import csr_array
 
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimate, ElasticEstimator
-from softtissue_estimator.estimators.hybrid.input import SeenMisfit
+from softtissue_estimator.estimators.hybrid.input import ObservedMisfit
 from softtissue_estimator.organ.mesh import FloatArray
 
 
@@ -40,11 +40,11 @@ def make_reader(estimator: ElasticEstimator, points: FloatArray) -> PosteriorRea
     return PosteriorReader(np.asarray(interpolation @ estimator.mesh.nodes), interpolation)
 
 
-def seen_misfit(estimate: ElasticEstimate) -> SeenMisfit:
+def observed_misfit(estimate: ElasticEstimate) -> ObservedMisfit:
     """Compare what an estimate was made from with what it says there."""
-    seen = estimate.seen
-    return SeenMisfit(
-        torch.from_numpy(seen.reference),
+    patches = estimate.patches
+    return ObservedMisfit(
+        torch.from_numpy(patches.reference),
         torch.from_numpy(estimate.misfit),
-        torch.from_numpy(1.0 / np.sqrt(seen.precision)),
+        torch.from_numpy(1.0 / np.sqrt(patches.precision)),
     )

@@ -28,7 +28,7 @@ def bent(points, size):
     return np.column_stack([0.0 * lever, 0.0 * lever, size * lever**2])
 
 
-def seen(size):
+def observed(size):
     points = sample_faces(SURFACE, SURFACE.triangles[:, :, 2].mean(axis=1) > 0.015, 0.004)[0]
     return Observation(points, bent(points, size), np.full(len(points), 0.0005))
 
@@ -61,11 +61,11 @@ def difference(first, second):
 
 
 def test_answers_of_an_organ_at_rest_come_closer_to_those_of_a_frame_on_its_own(alone, stream):
-    expected = alone.estimate(seen(3.0))
-    first = difference(stream.estimate(seen(3.0)), expected)
+    expected = alone.estimate(observed(3.0))
+    first = difference(stream.estimate(observed(3.0)), expected)
     assert first > 2e-4  # linear about the rigid motion alone
     # Not all the way: no load bends an organ quite like that, and several explain it as well.
-    until(lambda: difference(stream.estimate(seen(3.0)), expected) < 0.75 * first)
+    until(lambda: difference(stream.estimate(observed(3.0)), expected) < 0.75 * first)
 
 
 def test_answering_never_waits_for_a_factorisation(stream, monkeypatch):
@@ -78,7 +78,7 @@ def test_answering_never_waits_for_a_factorisation(stream, monkeypatch):
 
     monkeypatch.setattr(HyperelasticBody, "linearise", watched)
     for size in np.linspace(0.0, 3.0, 10):
-        stream.estimate(seen(size))
+        stream.estimate(observed(size))
     until(lambda: threads)
     assert threading.get_ident() not in threads
 
@@ -97,13 +97,13 @@ def test_the_thread_rests_while_the_organ_does_and_wakes_when_it_moves(stream, m
         """Answer for a while; the thread has at most a refreshing step to make in it."""
         before, end = len(steps), time.monotonic() + 0.9
         while time.monotonic() < end:
-            stream.estimate(seen(2.0))
+            stream.estimate(observed(2.0))
             time.sleep(0.01)
         return len(steps) <= before + 2
 
     until(lambda: rests())
     before = len(steps)
-    until(lambda: stream.estimate(seen(2.5)) and len(steps) > before + 3)
+    until(lambda: stream.estimate(observed(2.5)) and len(steps) > before + 3)
 
 
 def test_the_tissue_is_recognised_while_the_organ_is_watched():
@@ -111,7 +111,7 @@ def test_the_tissue_is_recognised_while_the_organ_is_watched():
     stream.load_organ(ORGAN)
     try:
         truth = pushed(stream.mesh, 0.45)
-        points = seen(0.0).reference
+        points = observed(0.0).reference
         moved = stream.interpolation(points) @ truth
         observation = Observation(points, moved, np.full(len(points), 0.0002))
         assert stream.estimate(observation).poisson_ratio == 0.35
@@ -137,7 +137,7 @@ def test_one_frame_alone_starts_anew_however_long_the_thread_takes(stream, monke
     monkeypatch.setattr(Solver, "improve", delayed)
     try:
         for size in (1.0, 1.02, 1.04, 1.06):
-            answer = stream.estimate(seen(size))
+            answer = stream.estimate(observed(size))
     finally:
         released.set()
     assert len(starts) == 1
@@ -159,7 +159,7 @@ def test_threads_that_share_the_cores_do_not_ask_for_more(stream, monkeypatch):
     torch.set_num_threads(2)
     try:
         for size in (1.0, 1.05):
-            stream.estimate(seen(size))
+            stream.estimate(observed(size))
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(before)
@@ -168,30 +168,30 @@ def test_threads_that_share_the_cores_do_not_ask_for_more(stream, monkeypatch):
 
 
 def test_a_jump_is_answered_about_the_rigid_motion(alone, stream):
-    stream.estimate(seen(0.0))
-    until(lambda: stream._tracker._guide is not None)
-    answer = stream.estimate(seen(6.0))
+    stream.estimate(observed(0.0))
+    until(lambda: stream._tracker._warm_start is not None)
+    answer = stream.estimate(observed(6.0))
     truth = bent(SURFACE.vertices, 6.0)
     top = SURFACE.vertices[:, 2] > 0.02
     assert np.linalg.norm(answer.displacement - truth, axis=1)[top].mean() < 0.002
 
 
 def test_what_is_forgotten_does_not_come_back(stream):
-    stream.estimate(seen(3.0))
-    until(lambda: stream._tracker._guide is not None)
+    stream.estimate(observed(3.0))
+    until(lambda: stream._tracker._warm_start is not None)
     stream.forget()
-    first = stream.estimate(seen(1.0))
+    first = stream.estimate(observed(1.0))
     other = ElasticEstimator(dataclasses.replace(KNOWN, tracking=True))
     other.load_organ(ORGAN)
     try:
-        np.testing.assert_allclose(first.displacement, other.estimate(seen(1.0)).displacement, atol=1e-9)
+        np.testing.assert_allclose(first.displacement, other.estimate(observed(1.0)).displacement, atol=1e-9)
     finally:
         other.close()
 
 
 def test_a_closed_estimator_leaves_no_thread(stream):
     before = threading.active_count()
-    stream.estimate(seen(1.0))
+    stream.estimate(observed(1.0))
     assert threading.active_count() == before + 1
     stream.close()
     until(lambda: threading.active_count() == before)

@@ -35,8 +35,8 @@ def bent(points):
 
 @pytest.fixture(scope="module")
 def observation():
-    seen = SURFACE.triangles.mean(axis=1)[:, 2] > 0.01
-    points = sample_faces(SURFACE, seen, 0.004)[0]
+    visible = SURFACE.triangles.mean(axis=1)[:, 2] > 0.01
+    points = sample_faces(SURFACE, visible, 0.004)[0]
     return Observation(points, bent(points), np.full(len(points), 2e-4))
 
 
@@ -92,13 +92,13 @@ def test_outputs_move_points_by_parts_of_the_elastic_deviation(tmp_path, network
     np.testing.assert_allclose(at_vertices[1], estimate.sigma, rtol=1e-6)
 
 
-def test_it_reads_the_posterior_and_what_was_seen(tmp_path, network, observation, monkeypatch):
+def test_it_reads_the_posterior_and_the_observation(tmp_path, network, observation, monkeypatch):
     given = []
     assemble = hybrid_estimator.assemble_hybrid_input
     monkeypatch.setattr(hybrid_estimator, "assemble_hybrid_input", lambda *a: given.append(a) or assemble(*a))
     made = estimator_of(tmp_path / "zero.safetensors", network)
     estimate = made.estimate(observation)
-    channels, cells, mean, sigma, seen, _ = given[0]
+    channels, cells, mean, sigma, observed, _ = given[0]
     centres = channels.grid.points()[cells.numpy()]
     expected = estimate.displacement_at(centres)
     inside = channels.signed_distance.reshape(-1)[cells].numpy() < -0.002
@@ -112,13 +112,13 @@ def test_it_reads_the_posterior_and_what_was_seen(tmp_path, network, observation
             points = np.append(points, [point], axis=0)
     noise = 0.003 * np.random.default_rng(1).normal(size=points.shape)
     estimate = made.estimate(Observation(points, bent(points) + noise, np.full(len(points), 0.003)))
-    seen = given[1][4]
-    order = [np.lexsort(np.round(found, 9).T) for found in (points, seen.reference.numpy())]
-    np.testing.assert_allclose(seen.reference.numpy()[order[1]], points[order[0]], atol=1e-12)
+    observed = given[1][4]
+    order = [np.lexsort(np.round(found, 9).T) for found in (points, observed.reference.numpy())]
+    np.testing.assert_allclose(observed.reference.numpy()[order[1]], points[order[0]], atol=1e-12)
     wanted = (bent(points) + noise - estimate.displacement_at(points)[0])[order[0]]
-    np.testing.assert_allclose(seen.misfit.numpy()[order[1]], wanted, atol=5e-4)
+    np.testing.assert_allclose(observed.misfit.numpy()[order[1]], wanted, atol=5e-4)
     assert np.linalg.norm(wanted, axis=1).max() > 3e-3
-    assert (seen.sigma.numpy() >= 0.00299).all()
+    assert (observed.sigma.numpy() >= 0.00299).all()
 
 
 def test_an_organ_that_cannot_be_used_leaves_the_one_before(tmp_path, network, observation):

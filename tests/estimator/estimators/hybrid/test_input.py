@@ -12,7 +12,7 @@ from softtissue_estimator.estimators.hybrid.input import (
     HYBRID_CHANNELS,
     VECTOR_CHANNELS,
     HybridSpec,
-    SeenMisfit,
+    ObservedMisfit,
     assemble_hybrid_input,
     posterior_cells,
     remainder,
@@ -43,10 +43,12 @@ def test_every_channel_holds_what_its_name_says_in_its_own_scale():
     sigma = torch.rand(len(cells), generator=generator, dtype=torch.float64) + 0.001
     at = (3, 5, 2)
     point = torch.from_numpy(GRID.points().reshape(*GRID.shape, 3)[at])[None]
-    seen = SeenMisfit(point, torch.tensor([[1e-3, 2e-3, -3e-3]]).double(), torch.tensor([0.003]).double())
+    observed = ObservedMisfit(
+        point, torch.tensor([[1e-3, 2e-3, -3e-3]]).double(), torch.tensor([0.003]).double()
+    )
     scales = tuple(float(scale) for scale in range(1, 11))
     spec = HybridSpec(spacing=GRID.spacing, input_scales=scales)
-    inputs = assemble_hybrid_input(channels, cells, mean, sigma, seen, spec)[0]
+    inputs = assemble_hybrid_input(channels, cells, mean, sigma, observed, spec)[0]
     assert inputs.shape == (len(HYBRID_CHANNELS), *GRID.shape)
     named = {name: field / scale for name, field, scale in zip(HYBRID_CHANNELS, inputs, scales, strict=True)}
     torch.testing.assert_close(named["signed_distance"], channels.signed_distance)
@@ -68,9 +70,11 @@ def test_every_channel_holds_what_its_name_says_in_its_own_scale():
 def test_precise_patches_outweigh_others_nearby():
     channels = organ()
     point = torch.from_numpy(GRID.points()[:1]).repeat(2, 1)
-    seen = SeenMisfit(point, torch.tensor([[0.001] * 3, [0.005] * 3]).double(), torch.tensor([0.001, 0.002]))
+    observed = ObservedMisfit(
+        point, torch.tensor([[0.001] * 3, [0.005] * 3]).double(), torch.tensor([0.001, 0.002])
+    )
     none = torch.zeros(0, dtype=torch.long)
-    inputs = assemble_hybrid_input(channels, none, torch.zeros(0, 3), torch.zeros(0), seen, HybridSpec())
+    inputs = assemble_hybrid_input(channels, none, torch.zeros(0, 3), torch.zeros(0), observed, HybridSpec())
     expected = (0.001 / 1e-6 + 0.005 / 4e-6) / (1 / 1e-6 + 1 / 4e-6)
     assert float(inputs[0, 7, 0, 0, 0]) / 500.0 == pytest.approx(expected, rel=1e-5)
 

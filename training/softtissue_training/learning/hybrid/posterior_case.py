@@ -13,7 +13,7 @@ from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimate, ElasticEstimator
 from softtissue_estimator.estimators.hybrid.input import HybridSpec, hybrid_grid, posterior_cells
-from softtissue_estimator.estimators.hybrid.posterior import seen_misfit
+from softtissue_estimator.estimators.hybrid.posterior import observed_misfit
 from softtissue_estimator.estimators.paper.network_input import channels_on_grid
 from softtissue_estimator.organ.organ import make_organ
 from softtissue_training.learning.hybrid.posterior_record import PosteriorCase
@@ -62,7 +62,7 @@ def posterior_case(
             failed(str(error))
             continue
         displacement, sigma = estimate.interpolated(nodes, at_nodes)
-        kept.append({"displacement": displacement, "sigma": sigma} | _seen(view, estimate, len(points)))
+        kept.append({"displacement": displacement, "sigma": sigma} | _observed(view, estimate, len(points)))
     if not kept:
         raise InvalidInputError("posteriors: expected at least one view that can be used, got none")
     return PosteriorCase(
@@ -88,8 +88,8 @@ def posterior_case(
     )
 
 
-def _seen(view: View, estimate: ElasticEstimate, points: int) -> dict[str, Any]:
-    misfit = seen_misfit(estimate)
+def _observed(view: View, estimate: ElasticEstimate, points: int) -> dict[str, Any]:
+    misfit = observed_misfit(estimate)
     visible: NDArray[np.bool_] = np.zeros(points, dtype=bool)
     visible[: len(view.visible)] = view.visible
     return {

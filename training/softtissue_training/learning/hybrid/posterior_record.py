@@ -50,7 +50,7 @@ class PosteriorCase:
     counts
         (V,) patches that were seen; of these, one view after the other:
     reference, misfit, seen_sigma
-        (sum of counts, 3), (.., 3) and (..,): as of `SeenMisfit`, metres.
+        (sum of counts, 3), (.., 3) and (..,): as of `ObservedMisfit`, metres.
     """
 
     origin: NDArray[np.float64]

@@ -12,7 +12,7 @@ from torch import Tensor
 from softtissue_estimator.estimators.hybrid.input import (
     VECTOR_CHANNELS,
     HybridSpec,
-    SeenMisfit,
+    ObservedMisfit,
     assemble_hybrid_input,
     posterior_cells,
 )
@@ -61,7 +61,7 @@ def hybrid_sample(case: PosteriorCase, view: int, spec: HybridSpec) -> HybridSam
     points = case.points.astype(np.float64)
     point_mean, point_sigma = _posterior_at(points, case.point_tet, mesh, case, view)
     inputs = assemble_hybrid_input(
-        channels, cells, torch.from_numpy(mean), torch.from_numpy(sigma), _seen(case, view), spec
+        channels, cells, torch.from_numpy(mean), torch.from_numpy(sigma), _observed(case, view), spec
     )
     return HybridSample(
         inputs=inputs,
@@ -90,10 +90,10 @@ def _grid(case: PosteriorCase, spec: HybridSpec) -> VoxelGrid:
     return VoxelGrid((x, y, z), spec.spacing, (nx, ny, nz))
 
 
-def _seen(case: PosteriorCase, view: int) -> SeenMisfit:
+def _observed(case: PosteriorCase, view: int) -> ObservedMisfit:
     end = int(case.counts[: view + 1].sum())
     part = slice(end - int(case.counts[view]), end)
-    return SeenMisfit(
+    return ObservedMisfit(
         torch.from_numpy(case.reference[part].astype(np.float64)),
         torch.from_numpy(case.misfit[part].astype(np.float64)),
         torch.from_numpy(case.seen_sigma[part].astype(np.float64)),

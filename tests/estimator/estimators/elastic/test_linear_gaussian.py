@@ -11,14 +11,14 @@ from scipy.stats import multivariate_normal
 from estimator.linear_stiffness import averaged_stiffness
 from estimator.shapes import box_tets
 from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody
-from softtissue_estimator.estimators.elastic.loads import load_basis
-from softtissue_estimator.estimators.elastic.posterior import (
+from softtissue_estimator.estimators.elastic.linear_gaussian import (
     condition,
     equal_variances,
     mean_displacement,
     standard_deviation,
     sum_up,
 )
+from softtissue_estimator.estimators.elastic.loads import load_basis
 
 CPU = torch.device("cpu")
 LENGTHS = (0.09, 0.05, 0.03)
@@ -30,15 +30,17 @@ SPRINGS[HELD, HELD] = 0.05
 BODY = HyperelasticBody(MESH, SPRINGS, LOADS, CPU)
 REST = torch.zeros((len(MESH.nodes), 3), dtype=torch.float64)
 TANGENT = BODY.linearise(REST, REST, 0.35)
-SEEN = np.flatnonzero((MESH.nodes[:, 2] > LENGTHS[2] - 1e-9) & (MESH.nodes[:, 0] > 0.03))
-OBSERVE = csr_array((np.ones(len(SEEN)), (np.arange(len(SEEN)), SEEN)), shape=(len(SEEN), len(MESH.nodes)))
-PRECISION = np.full(len(SEEN), 0.001**-2)
+OBSERVED = np.flatnonzero((MESH.nodes[:, 2] > LENGTHS[2] - 1e-9) & (MESH.nodes[:, 0] > 0.03))
+OBSERVE = csr_array(
+    (np.ones(len(OBSERVED)), (np.arange(len(OBSERVED)), OBSERVED)), shape=(len(OBSERVED), len(MESH.nodes))
+)
+PRECISION = np.full(len(OBSERVED), 0.001**-2)
 
 
 def observed(seed=0, noise=0.0):
     rng = np.random.default_rng(seed)
     bend = np.column_stack([0 * MESH.nodes[:, 0], 0 * MESH.nodes[:, 0], 2.0 * MESH.nodes[:, 0] ** 2])
-    return bend[SEEN] + noise * rng.normal(size=(len(SEEN), 3))
+    return bend[OBSERVED] + noise * rng.normal(size=(len(OBSERVED), 3))
 
 
 def dense_covariance(variances):
@@ -50,12 +52,12 @@ def dense_covariance(variances):
 
 def test_mean_and_deviation_are_those_of_the_dense_gaussian_process():
     data = observed(noise=0.001)
-    seen = sum_up(OBSERVE, data, PRECISION, CPU)
-    variances = equal_variances(TANGENT, seen, 0.015) * torch.linspace(0.2, 2.0, LOADS.shape[1])
-    found, _ = condition(TANGENT, seen, variances, updates=0)
+    summed = sum_up(OBSERVE, data, PRECISION, CPU)
+    variances = equal_variances(TANGENT, summed, 0.015) * torch.linspace(0.2, 2.0, LOADS.shape[1])
+    found, _ = condition(TANGENT, summed, variances, updates=0)
     prior = dense_covariance(variances.numpy())
     observe = np.kron(OBSERVE.toarray(), np.eye(3))
-    gain = prior @ observe.T @ np.linalg.inv(observe @ prior @ observe.T + 1e-6 * np.eye(3 * len(SEEN)))
+    gain = prior @ observe.T @ np.linalg.inv(observe @ prior @ observe.T + 1e-6 * np.eye(3 * len(OBSERVED)))
     mean = (gain @ data.ravel()).reshape(-1, 3)
     variance = np.diagonal(prior - gain @ observe @ prior).reshape(-1, 3).mean(axis=1)
     np.testing.assert_allclose(mean_displacement(TANGENT, found).numpy(), mean, atol=2e-5)
@@ -64,10 +66,10 @@ def test_mean_and_deviation_are_those_of_the_dense_gaussian_process():
     )
 
 
-def test_equal_variances_move_the_seen_nodes_as_far_as_expected():
-    seen = sum_up(OBSERVE, observed(), PRECISION, CPU)
-    prior = dense_covariance(equal_variances(TANGENT, seen, 0.02).numpy())
-    by_node = np.diagonal(prior).reshape(-1, 3)[SEEN]
+def test_equal_variances_move_the_observed_nodes_as_far_as_expected():
+    summed = sum_up(OBSERVE, observed(), PRECISION, CPU)
+    prior = dense_covariance(equal_variances(TANGENT, summed, 0.02).numpy())
+    by_node = np.diagonal(prior).reshape(-1, 3)[OBSERVED]
     assert np.sqrt(by_node.mean()) == pytest.approx(0.02, rel=1e-3)
 
 
@@ -94,33 +96,33 @@ def test_one_pushed_patch_is_found_among_all():
     matrix = averaged_stiffness(MESH, 0.35) + np.kron(SPRINGS, np.eye(3))
     truth = np.linalg.solve(matrix, (LOADS @ force).ravel()).reshape(-1, 3)
     truth *= 0.02 / np.abs(truth).max()
-    part = SEEN[MESH.nodes[SEEN, 0] < 0.05]  # the pushed end itself is not seen
+    part = OBSERVED[MESH.nodes[OBSERVED, 0] < 0.05]  # the pushed end itself is not observed
     rows = csr_array((np.ones(len(part)), (np.arange(len(part)), part)), shape=(len(part), len(MESH.nodes)))
-    seen = sum_up(rows, truth[part], np.full(len(part), 0.0005**-2), CPU)
-    start = equal_variances(TANGENT, seen, 0.015)
+    summed = sum_up(rows, truth[part], np.full(len(part), 0.0005**-2), CPU)
+    start = equal_variances(TANGENT, summed, 0.015)
     errors = [
         np.linalg.norm(
-            mean_displacement(TANGENT, condition(TANGENT, seen, start, updates)[0]).numpy() - truth, axis=1
+            mean_displacement(TANGENT, condition(TANGENT, summed, start, updates)[0]).numpy() - truth, axis=1
         ).mean()
         for updates in (0, 15)
     ]
-    found = condition(TANGENT, seen, start, 15)[0].variances.numpy()
+    found = condition(TANGENT, summed, start, 15)[0].variances.numpy()
     strongest = MESH.nodes[LOADS.argmax(axis=0)][np.argsort(found)[-1]]
     assert np.linalg.norm(strongest - MESH.nodes[LOADS[:, patch].argmax()]) < 0.02
     assert errors[1] < 0.5 * errors[0]
 
 
 def test_evidence_compares_as_the_densities_of_the_dense_gaussian_process():
-    """Two priors, and two tangents whose offsets differ, against the densities of what is seen."""
+    """Two priors, and two tangents whose offsets differ, against the densities of the observation."""
     data = observed(noise=0.001)
-    seen = sum_up(OBSERVE, data, PRECISION, CPU)
+    summed = sum_up(OBSERVE, data, PRECISION, CPU)
     observe = np.kron(OBSERVE.toarray(), np.eye(3))
-    start = equal_variances(TANGENT, seen, 0.015)
+    start = equal_variances(TANGENT, summed, 0.015)
     shift = torch.from_numpy(np.random.default_rng(3).normal(scale=0.002, size=MESH.nodes.shape))
     found, expected = [], []
     for variances, offset in ((start, REST), (0.1 * start, REST), (start, shift)):
         tangent = dataclasses.replace(TANGENT, offset=offset)
-        found.append(condition(tangent, seen, variances, updates=0)[1])
+        found.append(condition(tangent, summed, variances, updates=0)[1])
         covariance = observe @ dense_covariance(variances.numpy()) @ observe.T
         law = multivariate_normal(
             observe @ offset.numpy().ravel(), covariance + 1e-6 * np.eye(len(covariance))
