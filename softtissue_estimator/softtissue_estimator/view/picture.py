@@ -7,7 +7,6 @@ drawn.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.organ.mesh import SurfaceMesh
-from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.view.rendering import (
     Camera,
     Fragments,
@@ -28,6 +25,7 @@ from softtissue_estimator.view.rendering import (
     reduce_image,
     shade,
 )
+from softtissue_estimator.view.scene import Markers, Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,79 +33,13 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _PANEL = (1000, 1400)  # rows, columns drawn; halved to smooth edges
-_SMOOTHING = 2
+_OVERSAMPLING = 2  # pixels drawn over pixels shown, along each side
 _ORGAN_COLOUR = np.array([0.82, 0.45, 0.38])
-_SEEN_COLOUR = np.array([0.16, 0.66, 0.42])
+_TRACKED_COLOUR = np.array([0.16, 0.66, 0.42])
 _ATTACHED_COLOUR = np.array([0.35, 0.35, 0.40])
-_SEEN_RADIUS = 0.005  # m, a vertex nearer than this to a tracked point counts as seen
+_TRACKED_RADIUS_M = 0.005  # a vertex nearer than this to a tracked point is coloured as tracked
 _INK = "#1c1c22"
 _GREY = "#8a8a94"
-
-
-@dataclass(frozen=True)
-class Markers:
-    """Landmarks inside the organ, each ``(k, 3)`` m in the organ's frame."""
-
-    before: Array
-    estimated: Array
-    true: Array
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What a picture shows, all in metres in the organ's frame.
-
-    Attributes
-    ----------
-    organ
-        The preoperative organ.
-    reference, observed
-        (n, 3) preoperative and observed intraoperative positions of the tracked surface points of one frame.
-    estimated
-        (k, 3) estimated intraoperative positions of `organ.structure_points`, or (q, 3) of `organ.query_points`.
-        Without the surface's own estimate the organ is drawn where it truly is, or else not at all.
-    true
-        (q, 3) true positions of `organ.query_points`, if they are known.
-    markers
-        Landmarks, if there are any.
-    """
-
-    organ: Organ
-    reference: Array
-    observed: Array
-    estimated: Array
-    true: Array | None = None
-    markers: Markers | None = None
-
-    def __post_init__(self) -> None:
-        structures, everything = len(self.organ.structure_points), len(self.organ.query_points)
-        for name, value, allowed in (
-            ("estimated", self.estimated, (structures, everything)),
-            ("true", self.true, (everything,)),
-        ):
-            if value is not None and value.shape not in [(count, 3) for count in allowed]:
-                raise InvalidInputError(
-                    f"{name} positions: expected shape {' or '.join(f'({count}, 3)' for count in allowed)}, "
-                    f"got {value.shape}"
-                )
-
-    @property
-    def surface(self) -> SurfaceMesh | None:
-        """The intraoperative surface: estimated, else true, else unknown."""
-        for positions in (self.estimated, self.true):
-            if positions is not None and len(positions) == len(self.organ.query_points):
-                return SurfaceMesh(positions[len(self.organ.structure_points) :], self.organ.surface.faces)
-        return None
-
-    def structures(self, positions: Array) -> list[SurfaceMesh]:
-        """Return the structures with their vertices at `positions` (their own points first, m)."""
-        parts = self.split(positions)
-        return [SurfaceMesh(part, s.mesh.faces) for part, s in zip(parts, self.organ.structures, strict=True)]
-
-    def split(self, values: NDArray[Any]) -> list[NDArray[Any]]:
-        """Cut values of the query points ``(q, ...)`` or structure points ``(k, ...)`` into those of each structure."""
-        ends = np.cumsum([len(structure.mesh.vertices) for structure in self.organ.structures])
-        return np.split(values, ends)[: len(ends)]
 
 
 def draw_phantom(
@@ -164,10 +96,10 @@ def _draw_before(axes: Axes, scene: Scene, camera: Camera) -> None:
     meshes = [structure.mesh for structure in organ.structures]
     colours = [np.array(structure.colour[:3]) for structure in organ.structures]
     nearest, _ = cKDTree(scene.reference).query(organ.surface.vertices)
-    seen = (np.asarray(nearest) < _SEEN_RADIUS).astype(float)
-    image = _glass(organ.surface, camera, np.stack([seen, organ.attached.astype(float)], axis=1))
+    tracked = (np.asarray(nearest) < _TRACKED_RADIUS_M).astype(float)
+    image = _glass(organ.surface, camera, np.stack([tracked, organ.attached.astype(float)], axis=1))
     _show(axes, behind_glass(image, draw_solid(meshes, colours, camera)), "Before the operation")
-    entries = [("tracked part of the surface", _SEEN_COLOUR), ("attached", _ATTACHED_COLOUR)]
+    entries = [("tracked part of the surface", _TRACKED_COLOUR), ("attached", _ATTACHED_COLOUR)]
     names = [(s.name, np.array(s.colour[:3])) for s in organ.structures]
     _legend(axes, [_patch(name, colour) for name, colour in names + entries])
 
@@ -181,10 +113,10 @@ def _draw_during(axes: Axes, scene: Scene, camera: Camera) -> None:
         image = behind_glass(_glass(scene.surface, camera), image)
     _show(axes, image, "During the operation, estimated")
     _outline(axes, [scene.organ.surface], camera, _GREY, 1.1, "dashed")
-    points = camera.project(scene.observed) / _SMOOTHING
-    axes.scatter(points[:, 0], points[:, 1], s=3.5, color=_SEEN_COLOUR, alpha=0.75, linewidths=0.0)
+    points = camera.project(scene.observed) / _OVERSAMPLING
+    axes.scatter(points[:, 0], points[:, 1], s=3.5, color=_TRACKED_COLOUR, alpha=0.75, linewidths=0.0)
     handles: list[Any] = [
-        Line2D([], [], marker="o", ls="", ms=4, color=tuple(_SEEN_COLOUR), label="observed points"),
+        Line2D([], [], marker="o", ls="", ms=4, color=tuple(_TRACKED_COLOUR), label="observed points"),
         Line2D([], [], ls="--", color=_GREY, label="organ before"),
     ]
     if scene.true is not None:
@@ -222,7 +154,7 @@ def _draw_markers(axes: Axes, markers: Markers, camera: Camera) -> list[Any]:
     from matplotlib.lines import Line2D
 
     before, estimated, true = (
-        camera.project(points)[:, :2] / _SMOOTHING
+        camera.project(points)[:, :2] / _OVERSAMPLING
         for points in (markers.before, markers.estimated, markers.true)
     )
     for start, end in zip(before, true, strict=True):
@@ -248,18 +180,18 @@ def _draw_markers(axes: Axes, markers: Markers, camera: Camera) -> list[Any]:
 
 
 def _glass(surface: SurfaceMesh, camera: Camera, flags: Array | None = None, *, faint: bool = False) -> Array:
-    """Draw the organ's near side as if of glass; `flags` ``(n, 2)`` mark seen and attached vertices (0 or 1)."""
+    """Draw the organ's near side as if of glass; `flags` ``(n, 2)`` mark tracked and attached vertices (0 or 1)."""
     near: Fragments = rasterise_triangles(surface, camera, flags)
     colour = np.broadcast_to(_ORGAN_COLOUR, (*camera.shape, 3))
     rim = (1.0 - np.abs(near.normal[..., 2:3])) ** 2
     alpha = (0.07 if faint else 0.20) + (0.35 if faint else 0.60) * rim
     if flags is not None:
-        seen, attached = near.values[..., :1], near.values[..., 1:2]
+        tracked, attached = near.values[..., :1], near.values[..., 1:2]
         far_attached = rasterise_triangles(surface, camera, flags, farthest=True).values[..., 1:2]
-        dark = np.clip(attached + 0.45 * far_attached, 0.0, 1.0) * (1.0 - seen)
-        colour = colour * (1.0 - seen) + _SEEN_COLOUR * seen
+        dark = np.clip(attached + 0.45 * far_attached, 0.0, 1.0) * (1.0 - tracked)
+        colour = colour * (1.0 - tracked) + _TRACKED_COLOUR * tracked
         colour = colour * (1.0 - dark) + _ATTACHED_COLOUR * dark
-        alpha = np.clip(alpha + 0.12 * seen + 0.25 * dark, 0.0, 0.85)
+        alpha = np.clip(alpha + 0.12 * tracked + 0.25 * dark, 0.0, 0.85)
     image = np.zeros((*camera.shape, 4))
     covered = near.covered
     image[covered, :3] = shade(near.normal[covered], colour[covered], shine=0.18)
@@ -268,7 +200,7 @@ def _glass(surface: SurfaceMesh, camera: Camera, flags: Array | None = None, *, 
 
 
 def _show(axes: Axes, image: Array, title: str) -> None:
-    small = reduce_image(image, _SMOOTHING)
+    small = reduce_image(image, _OVERSAMPLING)
     axes.imshow(small, interpolation="none")
     axes.set_title(title, fontsize=14, color=_INK, pad=8)
     axes.set_xlim(0, small.shape[1])
@@ -279,13 +211,13 @@ def _show(axes: Axes, image: Array, title: str) -> None:
 def _outline(
     axes: Axes, meshes: list[SurfaceMesh], camera: Camera, colour: str, width: float, style: str
 ) -> None:
-    """Draw the outlines of what can be seen of each mesh, when all of them are opaque."""
+    """Draw the outlines of what is visible of each mesh, when all of them are opaque."""
     nearness = np.stack([rasterise_triangles(mesh, camera).nearness for mesh in meshes] or [np.zeros((0, 0))])
     front = nearness.max(axis=0)
     for part in nearness:
         covered = np.isfinite(part) & (part >= front)
         image = np.concatenate([np.ones((*covered.shape, 3)), covered[..., None].astype(float)], axis=-1)
-        alpha = reduce_image(image, _SMOOTHING)[..., 3]
+        alpha = reduce_image(image, _OVERSAMPLING)[..., 3]
         if alpha.size and alpha.max() > 0.5:
             rows, columns = alpha.shape
             x, y = np.arange(columns) + 0.5, np.arange(rows) + 0.5

@@ -15,7 +15,7 @@ from softtissue_training.simulation.sample import Sample
 FloatArray = NDArray[np.float64]
 
 _PANEL = (600, 720)  # pixels, before smoothing
-_SMOOTHING = 2
+_OVERSAMPLING = 2  # pixels drawn over pixels shown, along each side
 _ORGAN, _ATTACHED, _PUSHED = (
     np.array([0.80, 0.48, 0.42]),
     np.array([0.25, 0.25, 0.30]),
@@ -50,7 +50,7 @@ def draw_simulations(path: Path, samples: Sequence[Sample], title: str) -> None:
         length = np.linalg.norm(moved, axis=1)
         heat = scale.to_rgba(1e3 * length)[:, :3]
         for row, (surface, colour) in enumerate(((before, _roles(sample)), (after, heat))):
-            image = reduce_image(draw_solid([surface], [colour], camera), _SMOOTHING)
+            image = reduce_image(draw_solid([surface], [colour], camera), _OVERSAMPLING)
             axes[row, column].imshow(image)
             axes[row, column].set_axis_off()
         volume, force = 1e3 * enclosed_volume(before), float(np.linalg.norm(sample.force.sum(axis=0)))

@@ -15,7 +15,8 @@ from softtissue_estimator.ros.inputs.conversions import stamp_ns as nanoseconds
 from softtissue_estimator.ros.inputs.correspondences import read_correspondences
 from softtissue_estimator.ros.inputs.registration import Registration, transform_points
 from softtissue_estimator.ros.tools.bag import Bag, message_type
-from softtissue_estimator.view.picture import Markers, Scene, draw_phantom
+from softtissue_estimator.view.picture import draw_phantom
+from softtissue_estimator.view.scene import Markers, Scene
 
 FloatArray = NDArray[np.float64]
 

@@ -25,9 +25,9 @@ Array = NDArray[np.float64]
 
 _DPI = 110
 _PANEL = (760, 1000)  # rows, columns drawn; halved to smooth edges
-_SMOOTHING = 2
+_OVERSAMPLING = 2  # pixels drawn over pixels shown, along each side
 _ORGAN_COLOUR = np.array([0.82, 0.45, 0.38])
-_SEEN_COLOUR = np.array([0.16, 0.66, 0.42])
+_VISIBLE_COLOUR = np.array([0.16, 0.66, 0.42])
 _TRUE_COLOUR = np.array([0.93, 0.87, 0.30])
 _ESTIMATED_COLOUR = np.array([0.22, 0.33, 0.85])
 _COLUMNS = 3
@@ -69,7 +69,7 @@ def draw_vessels(run: BreathingRun, tracked: TrackedRun, step: int) -> Figure:
     colours = {
         "vessels in the other scan": _TRUE_COLOUR,
         "vessels as estimated": _ESTIMATED_COLOUR,
-        "visible surface": _SEEN_COLOUR,
+        "visible surface": _VISIBLE_COLOUR,
     }
     handles = [Patch(facecolor=tuple(colour), label=name) for name, colour in colours.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
@@ -128,7 +128,7 @@ def _glass(surface: SurfaceMesh, camera: Camera, seen: Array | None = None) -> A
     """Draw the near side of a surface as if of glass; `seen` (n,) is 1 for vertices to be coloured as visible."""
     flags = np.zeros((len(surface.vertices), 1)) if seen is None else seen[:, None]
     near = rasterise_triangles(surface, camera, flags)
-    colour = _ORGAN_COLOUR * (1.0 - near.values) + _SEEN_COLOUR * near.values
+    colour = _ORGAN_COLOUR * (1.0 - near.values) + _VISIBLE_COLOUR * near.values
     alpha = 0.22 + 0.5 * (1.0 - np.abs(near.normal[..., 2])) ** 2
     image = np.zeros((*camera.shape, 4))
     covered = near.covered
@@ -138,6 +138,6 @@ def _glass(surface: SurfaceMesh, camera: Camera, seen: Array | None = None) -> A
 
 
 def _show(axes: Axes, image: Array, title: str) -> None:
-    axes.imshow(reduce_image(image, _SMOOTHING), interpolation="none")
+    axes.imshow(reduce_image(image, _OVERSAMPLING), interpolation="none")
     axes.set_title(title)
     axes.set_axis_off()

@@ -9,7 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.view.picture import Markers, Scene, draw_phantom
+from softtissue_estimator.view.picture import draw_phantom
+from softtissue_estimator.view.scene import Markers, Scene
 from softtissue_training.experiments.phantom.experiment import (
     Answer,
     PhantomRun,
