@@ -20,21 +20,17 @@ from visualization_msgs.msg import MarkerArray
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
 from softtissue_estimator.ros import parameters
+from softtissue_estimator.ros.cloud_stream import CloudStream
 from softtissue_estimator.ros.engine import Engine, load_engine
-from softtissue_estimator.ros.frames import Frame
 from softtissue_estimator.ros.inputs.counters import FrameCounters
-from softtissue_estimator.ros.inputs.intake import Intake, Received
 from softtissue_estimator.ros.inputs.registration import Registration, tf_source
-from softtissue_estimator.ros.inputs.watchdog import silence
-from softtissue_estimator.ros.outputs.status import INVALID, diagnostics_message
-from softtissue_estimator.ros.pipeline import Pipeline
+from softtissue_estimator.ros.outputs.status import diagnostics_message
 from softtissue_estimator.ros.responder import Outputs, Responder
 from softtissue_estimator.ros.services import answer_warp, loaded
 from softtissue_estimator.ros.throttle import Throttle
 
 NAME = "softtissue_estimator"
 LOG_PERIOD_S = 5.0
-SILENCE_PERIOD_S = 10.0
 STOP_TIMEOUT_S = 2.0
 OUTPUT_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
@@ -77,13 +73,13 @@ class EstimatorNode(LifecycleNode):
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
         self._responder = Responder(outputs, self._counters, self._registration, lambda: self._config)
-        self._pipeline: Pipeline | None = None
-        self._intake: Intake | None = None
+        self._stream = CloudStream(
+            self, self._responder, self._counters, self._registration, self._warn, on_crash
+        )
         self._loading = threading.Lock()
-        self._active_since_s = self._silence_said_s = 0.0
         self._create_services()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(0.1, self._on_expiry, clock=steady)
+        self.create_timer(0.1, self._stream.expire, clock=steady)
         self.create_timer(1.0, self._on_second, clock=steady)
 
     def _create_services(self) -> None:
@@ -166,20 +162,10 @@ class EstimatorNode(LifecycleNode):
 
     def _activate(self) -> None:
         self._responder.reset()
-        self._pipeline = Pipeline(self._responder, self._counters, self._on_crash)
-        self._active_since_s, self._silence_said_s = time.monotonic(), -SILENCE_PERIOD_S
-        self._intake = Intake(
-            self, self._counters, self._registration, self._on_frame, self._responder.refuse, self._warn
-        )
-        self.get_logger().info(f"answering clouds on {self._intake.topic}")
+        self.get_logger().info(f"answering clouds on {self._stream.open()}")
 
     def _deactivate(self) -> None:
-        if self._intake is not None:
-            self._intake.close()
-            self._intake = None
-        if self._pipeline is not None:
-            self._pipeline.stop(STOP_TIMEOUT_S)
-            self._pipeline = None
+        self._stream.close(STOP_TIMEOUT_S)
         self._responder.reset()
 
     def _clean_up(self) -> None:
@@ -188,28 +174,15 @@ class EstimatorNode(LifecycleNode):
 
     def close(self, timeout_s: float) -> bool:
         """Stop working; return whether its threads ended in time."""
-        return self._pipeline is None or self._pipeline.stop(timeout_s)
+        return self._stream.stop_threads(timeout_s)
 
     def _load(self, folder: str) -> Engine:
         return load_engine(folder, self._config, self.get_logger().info)
 
-    # Clouds
-
-    def _on_frame(self, received: Received) -> None:
-        frame = Frame(received.cloud, received.correspondences, received.received_s, self._responder.epoch)
-        if self._pipeline is not None:
-            self._pipeline.put(frame)
-
     # Timers
 
-    def _on_expiry(self) -> None:
-        if self._intake is not None:
-            self._intake.expire()
-
     def _on_second(self) -> None:
-        if self._intake is not None:
-            self._intake.look_for_kept_registration()
-            self._say_silence(self._intake)
+        self._stream.watch(self._config.no_data_timeout_s)
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(
             diagnostics_message(
@@ -221,20 +194,6 @@ class EstimatorNode(LifecycleNode):
                 self._counters.counts,
             )
         )
-
-    def _say_silence(self, intake: Intake) -> None:
-        now = time.monotonic()
-        reason = silence(
-            now,
-            self._active_since_s,
-            intake.last_cloud_s,
-            intake.publishers(),
-            self._config.no_data_timeout_s,
-            intake.topic,
-        )
-        if reason is not None and now - self._silence_said_s >= SILENCE_PERIOD_S:
-            self._silence_said_s = now
-            self._responder.note(INVALID, reason)
 
     # Services
 
@@ -278,7 +237,7 @@ class EstimatorNode(LifecycleNode):
     async def _on_warp_points(
         self, request: WarpPoints.Request, response: WarpPoints.Response
     ) -> WarpPoints.Response:
-        active, answer = self._intake is not None, self._responder.answer
+        active, answer = self._stream.is_open, self._responder.answer
         await self._in_thread(lambda: answer_warp(request, response, active, answer, self._registration))
         return response
 
@@ -287,10 +246,7 @@ class EstimatorNode(LifecycleNode):
             response.result = Reset.Response.NOT_CONFIGURED
             response.message = "expected an inactive or active node, got one that is not configured"
             return response
-        if self._intake is not None:
-            self._intake.clear()
-        if self._pipeline is not None:
-            self._pipeline.clear()
+        self._stream.clear()
         self._responder.reset()
         return response
 

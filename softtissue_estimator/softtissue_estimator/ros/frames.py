@@ -64,7 +64,7 @@ class Answer:
     rejected_fraction : float
         Share of the correspondences that could not be used.
     visible_fraction : float
-        Share of the organ's surface area that was seen.
+        Visible share of the organ's surface area.
     stages : dict
         Seconds of each stage, in order.
     """
@@ -154,22 +154,22 @@ def unmoved(organ: Organ, config: EstimatorConfig) -> Observation:
     return Observation(vertices, np.zeros_like(vertices), np.full(len(vertices), config.default_sigma_m))
 
 
-def doubts(answer: Answer, total_s: float, config: EstimatorConfig) -> list[str]:
-    """List the reasons not to rely on an answer that came `total_s` seconds after its cloud."""
-    found = []
+def degradation_reasons(answer: Answer, total_s: float, config: EstimatorConfig) -> list[str]:
+    """List why an answer is degraded that came `total_s` seconds after its cloud."""
+    reasons = []
     if answer.visible_fraction < config.minimum_visible_fraction:
-        found.append(
+        reasons.append(
             f"visible share of the surface: expected at least {100 * config.minimum_visible_fraction:.3g} %,"
             f" got {100 * answer.visible_fraction:.3g} %"
         )
     if answer.rejected_fraction > config.maximum_rejected_fraction:
-        found.append(
+        reasons.append(
             f"rejected correspondences: expected at most {100 * config.maximum_rejected_fraction:.3g} %,"
             f" got {100 * answer.rejected_fraction:.3g} %"
         )
     if total_s > config.frame_budget_s:
-        found.append(
+        reasons.append(
             f"time from cloud to answer: expected at most {1e3 * config.frame_budget_s:.3g} ms,"
             f" got {1e3 * total_s:.3g} ms"
         )
-    return found
+    return reasons

@@ -11,7 +11,7 @@ from sensor_msgs.msg import PointCloud2
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import SoftTissueError
 from softtissue_estimator.ros.engine import Engine
-from softtissue_estimator.ros.frames import Answer, Frame, answer_frame, doubts
+from softtissue_estimator.ros.frames import Answer, Frame, answer_frame, degradation_reasons
 from softtissue_estimator.ros.inputs.conversions import stamp_ns
 from softtissue_estimator.ros.inputs.counters import FrameCounters
 from softtissue_estimator.ros.inputs.registration import Registration
@@ -189,7 +189,7 @@ class Responder:
         marked = time.monotonic()
         self._counters.add(answered=1)
         total = marked - outcome.frame.received_s
-        reasons = doubts(answer, total, outcome.config)
+        reasons = degradation_reasons(answer, total, outcome.config)
         stages = answer.stages | {
             "hand over": began - outcome.made_s,
             "publish points": published - began,

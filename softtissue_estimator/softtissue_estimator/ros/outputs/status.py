@@ -34,7 +34,7 @@ class Report:
     stamp_ns : int
         Stamp of the cloud, nanoseconds; zero when it speaks of no cloud.
     visible_fraction : float
-        Share of the organ's surface area seen, 0 to 1; NaN when unknown.
+        Visible share of the organ's surface area, 0 to 1; NaN when unknown.
     used, left_out : int
         Points of the cloud that entered the estimate, and those that did not.
     stages : dict

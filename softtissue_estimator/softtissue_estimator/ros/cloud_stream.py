@@ -1,0 +1,107 @@
+"""What runs while the node is active: clouds in, answers out, and a complaint where no clouds come."""
+
+import time
+from collections.abc import Callable
+
+from rclpy.node import Node
+
+from softtissue_estimator.ros.frames import Frame
+from softtissue_estimator.ros.inputs.counters import FrameCounters
+from softtissue_estimator.ros.inputs.intake import Intake, Received
+from softtissue_estimator.ros.inputs.registration import Registration
+from softtissue_estimator.ros.inputs.watchdog import silence
+from softtissue_estimator.ros.outputs.status import INVALID
+from softtissue_estimator.ros.pipeline import Pipeline
+from softtissue_estimator.ros.responder import Responder
+
+SILENCE_PERIOD_S = 10.0  # between two complaints
+
+
+class CloudStream:
+    """Answers clouds between `open` and `close`. All methods run in the executor's thread.
+
+    Parameters
+    ----------
+    node : Node
+    responder : Responder
+    counters : FrameCounters
+    registration : Registration
+    warn : callable
+        Takes a sentence for the log.
+    on_crash : callable
+        Takes an exception that nobody expected.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        responder: Responder,
+        counters: FrameCounters,
+        registration: Registration,
+        warn: Callable[[str], None],
+        on_crash: Callable[[BaseException], None],
+    ) -> None:
+        self._node, self._responder, self._counters = node, responder, counters
+        self._registration, self._warn, self._on_crash = registration, warn, on_crash
+        self._pipeline: Pipeline | None = None
+        self._intake: Intake | None = None
+        self._open_since_s = self._complained_s = 0.0
+
+    @property
+    def is_open(self) -> bool:
+        """Whether clouds are taken."""
+        return self._intake is not None
+
+    def open(self) -> str:
+        """Begin to answer; return the full name of the topic of clouds."""
+        self._pipeline = Pipeline(self._responder, self._counters, self._on_crash)
+        self._open_since_s, self._complained_s = time.monotonic(), -SILENCE_PERIOD_S
+        self._intake = Intake(
+            self._node, self._counters, self._registration, self._take, self._responder.refuse, self._warn
+        )
+        return self._intake.topic
+
+    def close(self, timeout_s: float) -> None:
+        """Stop answering, if that was begun."""
+        if self._intake is not None:
+            self._intake.close()
+            self._intake = None
+        if self._pipeline is not None:
+            self._pipeline.stop(timeout_s)
+            self._pipeline = None
+
+    def stop_threads(self, timeout_s: float) -> bool:
+        """Stop working at the end of the program; return whether the threads ended in time."""
+        return self._pipeline is None or self._pipeline.stop(timeout_s)
+
+    def clear(self) -> None:
+        """Forget what arrived and is not yet begun."""
+        if self._intake is not None:
+            self._intake.clear()
+        if self._pipeline is not None:
+            self._pipeline.clear()
+
+    def expire(self) -> None:
+        """Refuse the clouds whose correspondences did not come."""
+        if self._intake is not None:
+            self._intake.expire()
+
+    def watch(self, timeout_s: float) -> None:
+        """Look whether a registration is kept for late comers, and whether clouds come at least every `timeout_s`."""
+        if self._intake is not None:
+            self._intake.look_for_kept_registration()
+            self._complain_of_silence(self._intake, timeout_s)
+
+    def _take(self, received: Received) -> None:
+        frame = Frame(received.cloud, received.correspondences, received.received_s, self._responder.epoch)
+        if self._pipeline is not None:
+            self._pipeline.put(frame)
+
+    def _complain_of_silence(self, intake: Intake, timeout_s: float) -> None:
+        now = time.monotonic()
+        reason = silence(
+            now, self._open_since_s, intake.last_cloud_s, intake.publishers(), timeout_s, intake.topic
+        )
+        if reason is not None and now - self._complained_s >= SILENCE_PERIOD_S:
+            self._complained_s = now
+            self._responder.note(INVALID, reason)
