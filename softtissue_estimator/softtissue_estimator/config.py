@@ -73,7 +73,7 @@ class EstimatorConfig:
         3, "Fewest usable correspondences for an answer.", unit="points", limits=(3, 100_000)
     )
     minimum_visible_fraction: float = _setting(
-        0.05, "Below this share of the surface seen, the status is DEGRADED.", limits=(0.0, 1.0)
+        0.05, "Below this visible share of the surface, the status is DEGRADED.", limits=(0.0, 1.0)
     )
     maximum_rejected_fraction: float = _setting(
         0.5, "Above this share of rejected correspondences, the status is DEGRADED.", limits=(0.0, 1.0)
@@ -89,12 +89,12 @@ class EstimatorConfig:
     )
     poisson_ratio_sigma: float = _setting(
         0.1,
-        "Its standard deviation: within twice as much, what is seen decides; 0 where it is known. Used by 'elastic'.",
+        "Its standard deviation: within twice as much the observation decides; 0 where it is known. Used by 'elastic'.",
         limits=(0.0, 0.2),
     )
     prior_sigma_m: float = _setting(
         0.015,
-        "How far visible points are expected to move, before anything is seen; used by 'elastic'.",
+        "How far visible points are expected to move, before any observation; used by 'elastic'.",
         unit="m",
         limits=(0.0005, 0.1),
     )

@@ -55,7 +55,7 @@ class Estimate(ABC):
 
 
 class Estimator(ABC):
-    """Estimates where the inside of an organ is from what is seen of its surface.
+    """Estimates where the inside of an organ is from an observation of its surface.
 
     Attributes
     ----------

@@ -10,9 +10,8 @@ from torch import Tensor
 
 Function = Callable[[Tensor], tuple[Tensor, ...]]
 
-_WARM_UP = (
-    3  # libraries choose algorithms and reserve memory in the first calls, which a graph could not hold
-)
+# Libraries choose algorithms and reserve memory in the first calls, which a graph could not hold.
+_WARM_UP_CALLS = 3
 
 
 class Graph(Protocol):
@@ -97,7 +96,7 @@ def record_graph(work: Callable[[], tuple[Tensor, ...]]) -> tuple[Graph, tuple[T
     side = torch.cuda.Stream()
     side.wait_stream(torch.cuda.current_stream())
     with torch.cuda.stream(side):
-        for _ in range(_WARM_UP):
+        for _ in range(_WARM_UP_CALLS):
             work()
     torch.cuda.current_stream().wait_stream(side)
     graph = torch.cuda.CUDAGraph()

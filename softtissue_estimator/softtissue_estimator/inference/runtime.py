@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from softtissue_estimator.inference.precision import precision_name
 
-_AGREEMENT = 0.05  # of the largest output; bfloat16 stays below a fiftieth
+_MOST_DIFFERENCE = 0.05  # of the largest output; bfloat16 stays below a fiftieth
 
 
 class NetworkRuntime:
@@ -63,7 +63,7 @@ class NetworkRuntime:
                 difference = float(
                     (self(example) - expected).abs().max() / expected.abs().max().clamp_min(1e-9)
                 )
-                if not difference <= _AGREEMENT:
+                if not difference <= _MOST_DIFFERENCE:
                     raise RuntimeError(f"its outputs are off by {difference:.2g} of the largest one")
                 self.description = precision_name(dtype)
             # The operators are torch's own but not among those that it promises to keep.

@@ -18,7 +18,7 @@ _VISIBLE_SHARE = 0.4  # of the triangles
 class BendingOrgan:
     """Observations of an organ that swings up and down, with the square of the distance from where it is attached.
 
-    Seen are points drawn from the 40 % of its triangles that lie highest; every component has noise of 0.5 mm. The
+    Observed are points drawn from the 40 % of its triangles that lie highest; every component has noise of 0.5 mm. The
     motion is prescribed and no solution of elasticity, but one that tissue can follow: it takes an estimator as long as
     a real one, its error says nothing. An organ that is attached nowhere swings about one end.
 
@@ -30,7 +30,7 @@ class BendingOrgan:
     rng : Generator
         Draws points and noise.
     amplitude_m, period_s : float
-        Largest displacement of a seen point, m, and the time from rest to rest, s. By default a liver's breathing.
+        Largest displacement of an observed point, m, and the time from rest to rest, s. By default a liver's breathing.
 
     Raises
     ------
@@ -55,9 +55,9 @@ class BendingOrgan:
         extent = np.ptp(surface.vertices, axis=0)
         self._up = int(extent.argmin())
         height = surface.triangles[:, :, self._up].mean(axis=1)
-        seen = np.flatnonzero(height >= np.quantile(height, 1.0 - _VISIBLE_SHARE))
+        visible = np.flatnonzero(height >= np.quantile(height, 1.0 - _VISIBLE_SHARE))
         weights = rng.dirichlet(np.ones(3), size=count)
-        corners = surface.triangles[rng.choice(seen, size=count)]
+        corners = surface.triangles[rng.choice(visible, size=count)]
         self.reference: FloatArray = np.einsum("nc,ncd->nd", weights, corners)
         if organ.attached.any():
             far = np.asarray(cKDTree(surface.vertices[organ.attached]).query(self.reference)[0])
@@ -69,7 +69,7 @@ class BendingOrgan:
         self._amplitude_m, self._period_s = amplitude_m, period_s
 
     def points(self, time_s: float) -> FloatArray:
-        """Where the points are seen, (n, 3) m, organ frame."""
+        """Where the points are observed, (n, 3) m, organ frame."""
         moved = self.reference + self._rng.normal(scale=NOISE_M, size=self.reference.shape)
         share = 0.5 * (1.0 - np.cos(2.0 * np.pi * time_s / self._period_s))
         moved[:, self._up] += self._amplitude_m * share * self._lever

@@ -1,4 +1,4 @@
-"""What was seen of the surface, and the checks of what arrives."""
+"""An observation of the surface, and the checks of what arrives."""
 
 from dataclasses import dataclass
 from typing import Any, TypeVar

@@ -1,4 +1,4 @@
-"""How much of the organ's surface is seen."""
+"""How much of the organ's surface is visible."""
 
 import numpy as np
 
@@ -9,15 +9,15 @@ from softtissue_estimator.organ.organ import Organ
 def visible_fraction(organ: Organ, observation: Observation) -> float:
     """Share of the surface area with a tracked point on it.
 
-    The surface is divided into patches of about 5 mm; a patch counts as seen if at least one point lies on
+    The surface is divided into patches of about 5 mm; a patch counts as visible if at least one point lies on
     it. So the share is meaningful for clouds with a point every few millimetres; a handful of hand-set
-    points see only the patches they lie on.
+    points show only the patches they lie on.
 
     Parameters
     ----------
     organ : Organ
     observation : Observation
-        Points away from the surface see nothing.
+        Points away from the surface show nothing.
 
     Returns
     -------
@@ -26,6 +26,6 @@ def visible_fraction(organ: Organ, observation: Observation) -> float:
     """
     lookup = organ.surface_lookup
     sample = observation.nearest_sample(lookup)
-    seen = np.zeros(len(lookup.patch_areas), dtype=np.bool_)
-    seen[lookup.patch.take(sample[sample >= 0])] = True
-    return float(lookup.patch_areas[seen].sum() / lookup.patch_areas.sum())
+    visible = np.zeros(len(lookup.patch_areas), dtype=np.bool_)
+    visible[lookup.patch.take(sample[sample >= 0])] = True
+    return float(lookup.patch_areas[visible].sum() / lookup.patch_areas.sum())

@@ -18,9 +18,9 @@ from softtissue_estimator.organ.mesh_files.vtk_files import VTK_FORMATS, read_vt
 
 MESH_FORMATS = (".stl", ".ply", ".obj", *VTK_FORMATS, *MSH_FORMATS)
 
-_SAME_PLACE = 1e-7  # of the largest extent
+_SAME_PLACE_SHARE = 1e-7  # of the largest extent
 # How files begin, what that is, and the extension it should have.
-_BEGINNINGS = (
+_FILE_SIGNATURES = (
     (b"solid", "an STL file", ".stl"),
     (b"ply", "a PLY file", ".ply"),
     (b"# vtk DataFile", "a legacy VTK file", ".vtk"),
@@ -107,7 +107,7 @@ def _surface(vertices: FloatArray, blocks: Sequence[CellBlock]) -> StoredMesh:
     # Vertices of no cell may be anywhere, also at NaN.
     place = np.arange(len(vertices))
     _, first, group = np.unique(
-        np.round(vertices[used] / (_SAME_PLACE * extent)) + 0.0,
+        np.round(vertices[used] / (_SAME_PLACE_SHARE * extent)) + 0.0,
         axis=0,
         return_index=True,
         return_inverse=True,
@@ -134,7 +134,7 @@ def _other_format(path: Path) -> str:
     with path.open("rb") as file:
         start = file.read(400).lstrip()
     own = path.suffix.lower()
-    for begin, what, suffix in _BEGINNINGS:
+    for begin, what, suffix in _FILE_SIGNATURES:
         if start.startswith(begin) or (begin.startswith(b"type") and b"<VTKFile" in start and begin in start):
             rename = f"; its name should end in {suffix}" if suffix else ""
             return "" if suffix == own else f"expected {own[1:].upper()}, got {what}{rename}"

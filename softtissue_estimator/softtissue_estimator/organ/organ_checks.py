@@ -15,12 +15,12 @@ from softtissue_estimator.organ.signed_distance import signed_distance
 # by a thousand in volume, and this spans two thousand.
 _SMALLEST_LITRES, _LARGEST_LITRES = 0.01, 20.0
 _LONGEST_M = 1.0
-_STRUCTURE_MARGIN = 0.1  # of the diagonal of the organ's bounding box
+_STRUCTURE_MARGIN_SHARE = 0.1  # of the diagonal of the organ's bounding box
 # Largest extent of a structure over the organ's: a lesion of a millimetre has 0.004, anything in metres that is taken
 # for millimetres at most 0.002.
-_SMALLEST_STRUCTURE, _LARGEST_STRUCTURE = 0.002, 10.0
-_MOSTLY_OUTSIDE = 0.3
-_POINTS = 1000
+_SMALLEST_STRUCTURE_RATIO, _LARGEST_STRUCTURE_RATIO = 0.002, 10.0
+_LEAST_SHARE_INSIDE = 0.3  # of a structure's points, from which on its place needs no further check
+_CHECKED_POINTS = 1000  # of a structure
 
 _log = logging.getLogger(__name__)
 
@@ -74,16 +74,16 @@ def check_place(name: str, structure: SurfaceMesh, surface: SurfaceMesh, path: P
     """
     where = f"{path}, structure {name!r}"
     ratio = float(np.ptp(structure.vertices, axis=0).max() / np.ptp(surface.vertices, axis=0).max())
-    if not _SMALLEST_STRUCTURE <= ratio <= _LARGEST_STRUCTURE:
+    if not _SMALLEST_STRUCTURE_RATIO <= ratio <= _LARGEST_STRUCTURE_RATIO:
         raise OrganError(
             f"{where}: expected a mesh in the unit of the organ's, got one {ratio:.2g} times as long as the organ; "
             "save it in the same unit"
         )
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-    margin = _STRUCTURE_MARGIN * float(np.linalg.norm(high - low))
-    points = structure.vertices[:: max(1, len(structure.vertices) // _POINTS)]
+    margin = _STRUCTURE_MARGIN_SHARE * float(np.linalg.norm(high - low))
+    points = structure.vertices[:: max(1, len(structure.vertices) // _CHECKED_POINTS)]
     share = share_inside(surface, points)
-    if share >= _MOSTLY_OUTSIDE:
+    if share >= _LEAST_SHARE_INSIDE:
         return
     gap = float(distance_to_box(structure.vertices, low, high).min())
     hint = mirror_hint(surface, points, share)

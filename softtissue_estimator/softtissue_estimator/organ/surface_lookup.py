@@ -24,7 +24,7 @@ from softtissue_estimator.organ.mesh import (
 CELL_M = 0.0025
 REACH_M = 0.03
 PATCH_CELLS = 2
-_MAX_CELLS = 60_000_000
+_MOST_CELLS = 60_000_000
 _CELL_DIAGONAL_M = 1.001 * 3.0**0.5 * CELL_M
 
 
@@ -110,7 +110,7 @@ def build_surface_lookup(mesh: SurfaceMesh) -> SurfaceLookup:
     used = mesh.vertices[np.unique(mesh.faces)]
     origin = used.min(axis=0) - REACH_M
     shape = np.ceil((used.max(axis=0) + REACH_M - origin) / CELL_M).astype(np.int64) + 1
-    if np.prod(shape.astype(np.float64)) > _MAX_CELLS:
+    if np.prod(shape.astype(np.float64)) > _MOST_CELLS:
         size = ", ".join(f"{length:.3g}" for length in np.ptp(used, axis=0))
         raise MeshError(f"surface: expected an organ smaller than about a metre, got a size of ({size}) m")
     cell, position, sample_area = _samples_by_cell(mesh, origin, shape)

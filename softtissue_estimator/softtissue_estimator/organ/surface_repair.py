@@ -16,14 +16,14 @@ from softtissue_estimator.organ.mesh_io import StoredMesh
 
 _log = logging.getLogger(__name__)
 
-_CRACK = 1e-4  # of the largest extent: 0.02 mm of a liver
-_SLIVER = 1e-3  # of the largest body's volume
-_SECOND_BODY = 0.05  # of the largest body's volume
-_FLAT = 1e-5  # volume over area^1.5; a sphere has 0.094
+_CRACK_WIDTH_SHARE = 1e-4  # of the largest extent: 0.02 mm of a liver
+_SLIVER_VOLUME_SHARE = 1e-3  # of the largest body's volume
+_SECOND_BODY_VOLUME_SHARE = 0.05  # of the largest body's volume
+_LEAST_COMPACTNESS = 1e-5  # volume over area^1.5; a sphere has 0.094
 # A flat lid over this share of a ball's surface is off by twice the share times its radius: 4 mm for a liver, less
 # than a cell of the paper's grid.
-LARGEST_HOLE = 0.03
-_ALL_HOLES = 0.1
+LARGEST_HOLE_SHARE = 0.03
+_ALL_HOLES_SHARE = 0.1
 
 
 def clean_organ_surface(stored: StoredMesh, name: str) -> StoredMesh:
@@ -62,7 +62,7 @@ def check_closed(mesh: SurfaceMesh, name: str) -> None:
         return
     hole, count, area = _holes(mesh.vertices, edges)
     share = area / float(face_areas(mesh).sum())
-    if share.max() <= LARGEST_HOLE and share.sum() <= _ALL_HOLES:
+    if share.max() <= LARGEST_HOLE_SHARE and share.sum() <= _ALL_HOLES_SHARE:
         return  # what is left open beside lids: fins, edges of three faces
     corners = mesh.vertices[edges[hole == share.argmax()].ravel()]
     more = f" and {count - 1} more" if count > 1 else ""
@@ -79,7 +79,7 @@ def _without_cracks(stored: StoredMesh, name: str) -> StoredMesh:
     open_vertices = np.unique(_open_edges(mesh.faces))
     if len(open_vertices) == 0:
         return stored
-    near = _CRACK * float(np.ptp(mesh.vertices, axis=0).max())
+    near = _CRACK_WIDTH_SHARE * float(np.ptp(mesh.vertices, axis=0).max())
     pairs = open_vertices[cKDTree(mesh.vertices[open_vertices]).query_pairs(near, output_type="ndarray")]
     if len(pairs) == 0:
         return stored
@@ -139,13 +139,13 @@ def _keep_bodies(stored: StoredMesh, name: str) -> StoredMesh:
     volumes = _body_volumes(mesh.vertices, mesh.faces, body)
     main = int(np.abs(volumes).argmax())
     largest = abs(float(volumes[main]))
-    if largest < _FLAT * float(face_areas(mesh).sum()) ** 1.5:
+    if largest < _LEAST_COMPACTNESS * float(face_areas(mesh).sum()) ** 1.5:
         raise MeshError(f"mesh {name}: expected a surface that encloses a volume, got an open or flat one")
     faces = mesh.faces
     if volumes[main] < 0.0:
         _log.info("mesh %s: wound inward, turned outward", name)
         faces, volumes = faces[:, ::-1], -volumes
-    keep = np.abs(volumes) >= _SLIVER * largest
+    keep = np.abs(volumes) >= _SLIVER_VOLUME_SHARE * largest
     slivers = int((~keep).sum())
     if slivers:
         _log.warning("mesh %s: ignored bodies without volume beside the organ: %d", name, slivers)
@@ -162,7 +162,7 @@ def _keep_bodies(stored: StoredMesh, name: str) -> StoredMesh:
         elif inside > 0.0:
             _log.info("mesh %s: a body of %s ml that overlaps the organ is part of it", name, size)
             faces = np.where(((body == other) & (volumes[other] < 0.0))[:, None], faces[:, ::-1], faces)
-        elif abs(volumes[other]) < _SECOND_BODY * largest:
+        elif abs(volumes[other]) < _SECOND_BODY_VOLUME_SHARE * largest:
             _log.warning("mesh %s: a body of %s ml beside the organ is ignored", name, size)
             keep[other] = False
         else:
@@ -181,15 +181,15 @@ def _millilitres(volume_m3: float) -> str:
 
 
 def _with_lids(stored: StoredMesh, name: str) -> StoredMesh:
-    """Close every hole of up to `LARGEST_HOLE` of the surface, unless all of them together are large."""
+    """Close every hole of up to `LARGEST_HOLE_SHARE` of the surface, unless all of them together are large."""
     mesh = stored.mesh
     edges = _open_edges(mesh.faces)
     if len(edges) == 0:
         return stored
     hole, count, area = _holes(mesh.vertices, edges)
     share = area / float(face_areas(mesh).sum())
-    small = np.flatnonzero(share <= LARGEST_HOLE)
-    if len(small) == 0 or share[small].sum() > _ALL_HOLES:
+    small = np.flatnonzero(share <= LARGEST_HOLE_SHARE)
+    if len(small) == 0 or share[small].sum() > _ALL_HOLES_SHARE:
         return stored
     middles = np.array([mesh.vertices[np.unique(edges[hole == i])].mean(axis=0) for i in small])
     number = np.full(count, -1, dtype=np.int64)

@@ -25,12 +25,12 @@ from softtissue_estimator.errors import MeshError
 from softtissue_estimator.organ.mesh import FloatArray, IntArray, SurfaceMesh, enclosed_volume
 
 _log = logging.getLogger(__name__)
-_TETS_PER_VOLUME = 450.0  # edge length = cube root of volume / this; gives 500 to 900 nodes for organs
-_ENVELOPE = 0.01  # how far the tetrahedra may leave the surface, of the bounding box's diagonal
-_NODES = (250, 1100)
+_CUBED_EDGES_PER_VOLUME = 450.0  # edge length = cube root of volume / this; gives 500 to 900 nodes for organs
+_ENVELOPE_SHARE = 0.01  # how far the tetrahedra may leave the surface, of the bounding box's diagonal
+_FEWEST_NODES, _MOST_NODES = 250, 1100  # fewer resolve no bending, with more a frame takes too long
 _TIMEOUT_S = 300.0
-_CANDIDATES = 24
-_MOST_EXTRAPOLATION = 0.75
+_LOCATION_CANDIDATES = 24  # tetrahedra with the nearest centroids, among which a point is looked for
+_MOST_EXTRAPOLATION = 0.75  # lowest weight, below zero
 
 # Runs as its own program; knows nothing but numpy and pytetwild.
 _PROGRAM = """
@@ -88,7 +88,7 @@ class VolumeMesh:
         """Barycentric weights of (n, 3) points (m) in the given tetrahedra (n,), (n, 4).
 
         Outside a tetrahedron they extrapolate linearly, which carries local rotations to points just outside the
-        coarse mesh; no weight goes below -0.75, so that a distant point is not flung away.
+        coarse mesh; no weight goes below -0.75, so that a distant point does not move implausibly far.
         """
         offset = points - self.nodes.take(self.tets[:, 3].take(tet), axis=0)
         first = np.einsum("nij,nj->ni", self.inverse_edges.take(tet, axis=0), offset)
@@ -103,7 +103,7 @@ class VolumeMesh:
 
     def locate(self, points: FloatArray) -> IntArray:
         """Find the tetrahedron around each of (n, 3) points (m), or the one that reaches it best, (n,)."""
-        count = min(_CANDIDATES, len(self.tets))
+        count = min(_LOCATION_CANDIDATES, len(self.tets))
         best = np.empty(len(points), dtype=np.int64)
         for start in range(0, len(points), 8192):
             part = points[start : start + 8192]
@@ -143,14 +143,14 @@ def tetrahedralise(surface: SurfaceMesh, progress: Callable[[str], None]) -> Vol
     volume = enclosed_volume(surface)
     if not volume > 0.0:
         raise MeshError(f"volume mesh: expected a surface with a positive volume, got {1e6 * volume:.3g} ml")
-    edge = (volume / _TETS_PER_VOLUME) ** (1.0 / 3.0)
+    edge = (volume / _CUBED_EDGES_PER_VOLUME) ** (1.0 / 3.0)
     mesh = None
     for _ in range(3):
         progress(f"filling the organ with tetrahedra of {1e3 * edge:.1f} mm, a few seconds")
         mesh = clean_tets(*_run_ftetwild(surface, edge))
-        if len(mesh.nodes) < _NODES[0]:
+        if len(mesh.nodes) < _FEWEST_NODES:
             edge *= 0.75
-        elif len(mesh.nodes) > _NODES[1]:
+        elif len(mesh.nodes) > _MOST_NODES:
             edge *= 1.25
         else:
             break
@@ -213,7 +213,7 @@ def _run_ftetwild(surface: SurfaceMesh, edge_m: float) -> tuple[FloatArray, IntA
             str(source),
             str(target),
             repr(edge_m),
-            repr(_ENVELOPE),
+            repr(_ENVELOPE_SHARE),
         ]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
         try:

@@ -27,7 +27,8 @@ IntArray = NDArray[np.int64]
 IDENTITY = RigidMotion(np.eye(3), np.zeros(3))
 
 _DAMPING = 1e-6  # of a step's normal equations, so that what the surface leaves open (a sphere's turn) stays
-_LEAST_GAIN = 1e-6  # relative fall of the error below which another turn is not worth it
+_LEAST_RELATIVE_GAIN = 1e-6  # fall of the error below which another turn is not worth it
+# Of many starts, the best of a short registration of few points are tried in full.
 _SCREENED_POINTS, _SCREENED_TURNS, _KEPT_STARTS = 300, 8, 3
 
 
@@ -100,7 +101,7 @@ def _register(
             return RigidFit(motion, match.rms, match.counted, turn, True)
         gain = match.rms - better[1].rms
         motion, match = better
-        if gain <= _LEAST_GAIN * match.rms:
+        if gain <= _LEAST_RELATIVE_GAIN * match.rms:
             return RigidFit(motion, match.rms, match.counted, turn + 1, True)
     return RigidFit(motion, match.rms, match.counted, turns, False)
 

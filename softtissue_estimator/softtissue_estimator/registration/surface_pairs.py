@@ -15,7 +15,7 @@ from softtissue_estimator.organ.mesh import SurfaceMesh
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_NEIGHBOURS = 12  # of a point, whose plane gives its normal
+_PLANE_NEIGHBOURS = 12  # of a point, whose plane gives its normal
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ class SurfaceMatcher:
 
 def plane_normals(points: FloatArray) -> FloatArray:
     """Return the normals of the planes through each point's neighbours, (n, 3), up to their sign."""
-    neighbours = points[cKDTree(points).query(points, min(_NEIGHBOURS, len(points)))[1]]
+    neighbours = points[cKDTree(points).query(points, min(_PLANE_NEIGHBOURS, len(points)))[1]]
     centred = neighbours - neighbours.mean(axis=1, keepdims=True)
     _, vectors = np.linalg.eigh(np.einsum("nka,nkb->nab", centred, centred))
     return np.asarray(vectors[:, :, 0], dtype=np.float64)

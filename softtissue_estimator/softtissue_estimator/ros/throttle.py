@@ -4,7 +4,7 @@ import re
 import threading
 
 _NUMBER = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?")
-_REMEMBERED = 64
+_MOST_SENTENCES = 64  # that are remembered: far more than a node has
 
 
 class Throttle:
@@ -30,6 +30,6 @@ class Throttle:
                 self._said[key] = last
                 return False
             self._said[key] = now_s
-            while len(self._said) > _REMEMBERED:
+            while len(self._said) > _MOST_SENTENCES:
                 del self._said[next(iter(self._said))]
             return True

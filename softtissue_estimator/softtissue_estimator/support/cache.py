@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 Arrays = dict[str, NDArray[Any]]
 
 _log = logging.getLogger(__name__)
-_KEEP_FILES = 64
-_KEY = "cache_key"
+_MOST_FILES = 64  # in the folder; the oldest go
+_KEY_NAME = "cache_key"
 
 
 def cache_folder() -> Path:
@@ -67,9 +67,9 @@ def _read(path: Path, key: str) -> Arrays | None:
     try:
         # Opened here, because NumPy leaves a damaged file open.
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            if str(arrays[_KEY]) != key:
+            if str(arrays[_KEY_NAME]) != key:
                 return None
-            return {name: arrays[name] for name in arrays.files if name != _KEY}
+            return {name: arrays[name] for name in arrays.files if name != _KEY_NAME}
     except FileNotFoundError:
         return None
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
@@ -84,7 +84,7 @@ def _write(path: Path, key: str, arrays: Arrays) -> None:
         # Written beside its place and renamed, so that nobody ever reads half a file.
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".part")
         with os.fdopen(handle, "wb") as file:
-            np.savez(file, allow_pickle=False, **{_KEY: np.array(key)}, **arrays)
+            np.savez(file, allow_pickle=False, **{_KEY_NAME: np.array(key)}, **arrays)
         os.replace(temporary, path)
         _prune(path.parent)
     except OSError as error:
@@ -98,5 +98,5 @@ def _write(path: Path, key: str, arrays: Arrays) -> None:
 def _prune(folder: Path) -> None:
     """Forget the oldest files, so that the folder does not grow without end."""
     files = sorted(folder.glob("*.npz"), key=lambda file: file.stat().st_mtime)
-    for old in files[:-_KEEP_FILES]:
+    for old in files[:-_MOST_FILES]:
         old.unlink(missing_ok=True)

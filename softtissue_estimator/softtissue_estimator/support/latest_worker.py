@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 
 ItemT = TypeVar("ItemT")
 
-_LOW_PRIORITY = 10
+_BACKGROUND_NICENESS = 10
 
 
 class LatestWorker(Generic[ItemT]):
@@ -65,7 +65,7 @@ class LatestWorker(Generic[ItemT]):
     def _run(self) -> None:
         if self._background and sys.platform == "linux":
             # There, and only there, a thread has a priority of its own.
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LOW_PRIORITY)
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _BACKGROUND_NICENESS)
         while True:
             with self._condition:
                 self._condition.wait_for(lambda: self._item is not None or self._stopping)

@@ -143,12 +143,12 @@ def _cover(
     )
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-    seen = (np.abs(area) > 1e-12) & np.all(upper >= lower, axis=1)
+    visible = (np.abs(area) > 1e-12) & np.all(upper >= lower, axis=1)
     # Triangles of similar size share a square of candidate pixels.
     size = 2 ** np.ceil(np.log2(np.maximum((upper - lower).max(axis=1) + 1, 1))).astype(np.int64)
     found: list[tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]] = []
-    for side in np.unique(size[seen]):
-        group = np.flatnonzero(seen & (size == side))
+    for side in np.unique(size[visible]):
+        group = np.flatnonzero(visible & (size == side))
         step = max(1, 500_000 // int(side) ** 2)
         for chunk in (group[start : start + step] for start in range(0, len(group), step)):
             column = lower[chunk, 0, None] + np.tile(np.arange(side), side)

@@ -12,7 +12,7 @@ from softtissue_estimator.errors import MeshError
 from softtissue_estimator.organ.mesh import SurfaceMesh, enclosed_volume
 from softtissue_estimator.organ.mesh_io import StoredMesh
 from softtissue_estimator.organ.signed_distance import signed_distance
-from softtissue_estimator.organ.surface_repair import LARGEST_HOLE, check_closed, clean_organ_surface
+from softtissue_estimator.organ.surface_repair import LARGEST_HOLE_SHARE, check_closed, clean_organ_surface
 
 ORGAN = ellipsoid((0.09, 0.06, 0.05), subdivisions=4)
 VOLUME = enclosed_volume(ORGAN)
@@ -81,7 +81,7 @@ def test_a_lid_is_as_close_to_a_ball_as_its_limit_promises():
     ball = sphere(0.065, subdivisions=5)
     middle = ball.vertices[ball.faces].mean(axis=1)
     # The cap of height h has the share h / 2R of the ball's surface.
-    open_ball = stored(ball.vertices, ball.faces[middle[:, 2] < 0.065 * (1.0 - 1.8 * LARGEST_HOLE)])
+    open_ball = stored(ball.vertices, ball.faces[middle[:, 2] < 0.065 * (1.0 - 1.8 * LARGEST_HOLE_SHARE)])
     closed = clean_organ_surface(open_ball, "ball").mesh
     assert is_closed(closed)
     apex = float(signed_distance(closed, np.array([[0.0, 0.0, 0.065]]))[0])

@@ -115,8 +115,8 @@ class PaperEstimator(Estimator):
                 return found, sampler(found)
 
             with torch.inference_mode():
-                nothing_seen = torch.zeros((*channels.grid.shape, 3), device=device)
-                call = CapturedCall(answer, nothing_seen, progress)
+                nothing_observed = torch.zeros((*channels.grid.shape, 3), device=device)
+                call = CapturedCall(answer, nothing_observed, progress)
         self._prepared = _Prepared(channels, field, sampler, call)
 
     def estimate(self, observation: Observation) -> Estimate:

@@ -96,9 +96,9 @@ class OrganChannels:
 
 
 def organ_grid(surface: SurfaceMesh, spec: NetworkSpec) -> VoxelGrid:
-    """Return the grid on which a network of this specification sees the organ.
+    """Return the grid on which a network of this specification is given the organ.
 
-    A network trained on the cube sees the cube, or, for an organ that does not fit into it, the smallest box that does.
+    A network trained on the cube is given the cube, or a box around it where the organ does not fit in.
     """
     lower, upper = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     if spec.cube_side_m > 0.0:
@@ -165,7 +165,7 @@ def zero_displacement(grid: VoxelGrid, surface: SurfaceMesh, attached: NDArray[n
 def visible_displacement(
     grid: VoxelGrid, reference: Tensor, displacement: Tensor, sigma: Tensor | None = None
 ) -> Tensor:
-    """Return u_vis(p): (X, Y, Z, 3) float32 metres, zero where nothing was seen.
+    """Return u_vis(p): (X, Y, Z, 3) float32 metres, zero where nothing was observed.
 
     Parameters
     ----------

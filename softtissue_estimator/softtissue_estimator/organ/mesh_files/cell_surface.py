@@ -21,9 +21,9 @@ _VOLUME_FACES: dict[str, tuple[tuple[int, ...], ...]] = {
     "wedge": ((0, 1, 2), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
     "hexahedron": ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }
-_CORNERS = {"triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
+_CORNER_COUNT = {"triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 _WITHOUT_SURFACE = ("vertex", "line")
-_NAME = re.compile(r"([a-z_]+)\d*$")
+_TYPE_NAME = re.compile(r"([a-z_]+)\d*$")
 
 _log = logging.getLogger(__name__)
 
@@ -47,15 +47,15 @@ class CellBlock:
     @property
     def shape(self) -> str:
         """The kind without its number of nodes."""
-        found = _NAME.match(self.kind)
+        found = _TYPE_NAME.match(self.kind)
         return found.group(1) if found else self.kind
 
 
 def check_cells(blocks: Sequence[CellBlock], vertex_count: int) -> None:
     """Raise MeshError if cells are of an unknown kind, name vertices that do not exist or have no surface."""
     for block in blocks:
-        known = block.shape in _CORNERS or block.shape in ("polygon", *_WITHOUT_SURFACE)
-        if not known or block.nodes.shape[1] < _CORNERS.get(block.shape, 1):
+        known = block.shape in _CORNER_COUNT or block.shape in ("polygon", *_WITHOUT_SURFACE)
+        if not known or block.nodes.shape[1] < _CORNER_COUNT.get(block.shape, 1):
             raise MeshError(
                 "expected triangles, polygons, tetrahedra, pyramids, wedges or hexahedra, got cells of kind "
                 f"{block.kind} with {block.nodes.shape[1]} nodes"
@@ -99,7 +99,7 @@ def surface_of_cells(vertices: FloatArray, blocks: Sequence[CellBlock]) -> IntAr
 def _linear(block: CellBlock) -> CellBlock:
     """Drop nodes that are no corners, except those that the surface keeps."""
     count = block.nodes.shape[1]
-    corners = _CORNERS.get(block.shape, count)
+    corners = _CORNER_COUNT.get(block.shape, count)
     if count == corners or block.kind in ("tetra10", "triangle6"):
         return block
     _log.info("cells of kind %s: only their corners are used", block.kind)
@@ -122,7 +122,7 @@ def _outside(vertices: FloatArray, blocks: Sequence[CellBlock]) -> list[IntArray
         # A cell that is stored twice would hide its outside.
         _, once = np.unique(np.sort(block.nodes, axis=1), axis=0, return_index=True)
         nodes = block.nodes[np.sort(once)]
-        centre = vertices[nodes[:, : _CORNERS[block.shape]]].mean(axis=1)
+        centre = vertices[nodes[:, : _CORNER_COUNT[block.shape]]].mean(axis=1)
         for face in _VOLUME_FACES[block.kind]:
             loops.setdefault(len(face), []).append(nodes[:, face])
             inner.setdefault(len(face), []).append(centre)

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 UNREADABLE = 3
-_MEMORY = 4 << 30  # bytes, beside a multiple of the file's size
-_MEMORY_PER_BYTE = 200
+_LEAST_MEMORY_BYTES = 4 << 30  # beside a multiple of the file's size
+_MEMORY_BYTES_PER_FILE_BYTE = 200
 
 
 class _UnreadableError(Exception):
@@ -27,7 +27,7 @@ def main() -> int:
     import resource  # of POSIX
 
     source, kind, target = sys.argv[1:]
-    limit = _MEMORY + _MEMORY_PER_BYTE * Path(source).stat().st_size
+    limit = _LEAST_MEMORY_BYTES + _MEMORY_BYTES_PER_FILE_BYTE * Path(source).stat().st_size
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
     resource.setrlimit(
         resource.RLIMIT_AS, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard)

@@ -14,7 +14,7 @@ from softtissue_estimator.errors import MeshError
 from softtissue_estimator.organ.mesh import FloatArray
 from softtissue_estimator.organ.mesh_files.cell_surface import CellBlock
 
-_HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL file
+_HEADER_BYTES, _TRIANGLE_BYTES = 84, 50  # of a binary STL file
 _VERTEX_LINE = re.compile(rb"^\s*vertex\s", re.IGNORECASE | re.MULTILINE)
 
 
@@ -49,11 +49,11 @@ def _check_stl(path: Path, read: int) -> None:
     """Raise MeshError if a file announces more triangles than were read; trimesh leaves out what it cannot read."""
     content = path.read_bytes()
     if b"\0" in content[:1000]:
-        announced = int.from_bytes(content[_HEADER - 4 : _HEADER], "little")
+        announced = int.from_bytes(content[_HEADER_BYTES - 4 : _HEADER_BYTES], "little")
         if read == 0:
             raise MeshError(
                 f"expected STL, got {len(content)} bytes where a binary file whose header announces {announced} "
-                f"triangles has {_HEADER + _TRIANGLE * announced}; it is damaged, cut off or no STL"
+                f"triangles has {_HEADER_BYTES + _TRIANGLE_BYTES * announced}; it is damaged, cut off or no STL"
             )
         return
     vertices = len(_VERTEX_LINE.findall(content))

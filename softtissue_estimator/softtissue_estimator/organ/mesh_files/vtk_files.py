@@ -15,7 +15,7 @@ from softtissue_estimator.organ.mesh_files.isolated import read_isolated, requir
 VTK_FORMATS = (".vtk", ".vtp", ".vtu")
 
 # VTK's numbers of cell types (vtkCellType.h); the nodes of all of them begin with the corners.
-_KINDS = {
+_CELL_TYPE_NAMES = {
     1: "vertex",
     2: "vertex",
     3: "line",
@@ -51,7 +51,7 @@ _KINDS = {
     73: "wedge",
     74: "pyramid",
 }
-_PARTS = 4  # polygons, strips, lines and points of PolyData; an UnstructuredGrid has one
+_CELL_ARRAYS = 4  # polygons, strips, lines and points of PolyData; an UnstructuredGrid has one
 
 
 def read_vtk(path: Path) -> tuple[FloatArray, list[CellBlock]]:
@@ -68,7 +68,7 @@ def read_vtk(path: Path) -> tuple[FloatArray, list[CellBlock]]:
     if points.ndim != 2 or points.shape[1] != 3:
         raise MeshError(f"expected points with three coordinates, got an array of shape {points.shape}")
     blocks: list[CellBlock] = []
-    for i in range(_PARTS):
+    for i in range(_CELL_ARRAYS):
         if f"types{i}" in arrays:
             types, offsets, nodes = (
                 arrays[f"{name}{i}"].astype(np.int64) for name in ("types", "offsets", "nodes")
@@ -84,7 +84,7 @@ def _blocks(kinds: IntArray, offsets: IntArray, nodes: IntArray) -> Iterator[Cel
     if not whole or sizes.min(initial=0) < 0:
         raise MeshError(f"expected {len(kinds)} cells, got offsets that do not fit {len(nodes)} node numbers")
     for kind in np.unique(kinds):
-        name = _KINDS.get(int(kind), f"number {kind} of VTK")
+        name = _CELL_TYPE_NAMES.get(int(kind), f"number {kind} of VTK")
         for size in np.unique(sizes[kinds == kind]):
             start = offsets[:-1][(kinds == kind) & (sizes == size)]
             rows = nodes[start[:, None] + np.arange(size)]

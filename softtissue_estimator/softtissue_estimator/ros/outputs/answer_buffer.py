@@ -14,8 +14,8 @@ FloatArray = NDArray[np.float64]
 _VERTEX = np.dtype(
     [(name, "<f4") for name in ("x", "y", "z", "dx", "dy", "dz")] + [("structure", "<u4"), ("sigma", "<f4")]
 )
-_WIDTH = _VERTEX.itemsize // 4
-_SENTINEL = (-7.3219481e31, 4.1178235e-27, -9.6601735e26)
+_VALUES_PER_VERTEX = _VERTEX.itemsize // 4
+_SENTINEL_POINT = (-7.3219481e31, 4.1178235e-27, -9.6601735e26)
 
 
 class AnswerBuffer:
@@ -31,17 +31,17 @@ class AnswerBuffer:
         vertices = np.zeros(self._count, dtype=_VERTEX)
         vertices["structure"] = organ.structure_index
         if self._count:
-            vertices[0]["x"], vertices[0]["y"], vertices[0]["z"] = _SENTINEL
+            vertices[0]["x"], vertices[0]["y"], vertices[0]["z"] = _SENTINEL_POINT
         seconds, nanoseconds = SENTINEL_STAMP
         message = make_cloud(vertices, organ.frame, seconds * 1_000_000_000 + nanoseconds)
         self._template = Template(serialize_message(message), stamps=1)
-        self._values: NDArray[np.float32] = np.empty((0, _WIDTH), dtype=np.float32)
+        self._values: NDArray[np.float32] = np.empty((0, _VALUES_PER_VERTEX), dtype=np.float32)
         if self._count:
             # Little-endian whatever the machine is: what the cloud's fields describe is opaque to the serialisation.
-            pattern = np.array(_SENTINEL, dtype="<f4").tobytes()
+            pattern = np.array(_SENTINEL_POINT, dtype="<f4").tobytes()
             (place,) = self._template.places(pattern, 1, "arrays of vertices")
             self._values = self._template.view(place, np.uint8, self._count * _VERTEX.itemsize).view("<f4")
-            self._values = self._values.reshape(self._count, _WIDTH)
+            self._values = self._values.reshape(self._count, _VALUES_PER_VERTEX)
 
     def serialised(
         self, positions: FloatArray, displacement: FloatArray, sigma: FloatArray | None, stamp_ns: int

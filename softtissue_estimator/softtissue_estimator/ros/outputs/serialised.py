@@ -12,8 +12,8 @@ from numpy.typing import DTypeLike, NDArray
 
 from softtissue_estimator.errors import SoftTissueError
 
-_HEAD = 4
-_SECOND_NS = 1_000_000_000
+_HEAD_BYTES = 4
+_NS_PER_S = 1_000_000_000
 
 SENTINEL_STAMP = (1_594_837_261, 973_158_642)
 """Seconds and nanoseconds that a `Template` takes for a stamp."""
@@ -26,14 +26,14 @@ def byte_order(data: bytes) -> Literal["<", ">"]:
 
 def read_stamp(data: bytes) -> int:
     """Return the stamp, nanoseconds, of a serialised message that begins with a std_msgs/Header."""
-    seconds, nanoseconds = struct.unpack_from(f"{byte_order(data)}iI", data, _HEAD)
-    return int(seconds) * _SECOND_NS + int(nanoseconds)
+    seconds, nanoseconds = struct.unpack_from(f"{byte_order(data)}iI", data, _HEAD_BYTES)
+    return int(seconds) * _NS_PER_S + int(nanoseconds)
 
 
 def with_stamp(data: bytes, stamp_ns: int) -> bytes:
     """Return a serialised message that begins with a std_msgs/Header, with another stamp (nanoseconds)."""
     changed = bytearray(data)
-    struct.pack_into(f"{byte_order(data)}iI", changed, _HEAD, *divmod(stamp_ns, _SECOND_NS))
+    struct.pack_into(f"{byte_order(data)}iI", changed, _HEAD_BYTES, *divmod(stamp_ns, _NS_PER_S))
     return bytes(changed)
 
 
@@ -56,7 +56,7 @@ class Template:
 
     def __init__(self, data: bytes, stamps: int) -> None:
         # Numbers of eight bytes are aligned behind the head; in memory they are too if that ends where eight do.
-        self._bytes: NDArray[np.uint8] = np.empty(len(data) + _HEAD, dtype=np.uint8)[_HEAD:]
+        self._bytes: NDArray[np.uint8] = np.empty(len(data) + _HEAD_BYTES, dtype=np.uint8)[_HEAD_BYTES:]
         self._bytes[:] = np.frombuffer(data, dtype=np.uint8)
         self._data = data
         self._order = byte_order(data)
@@ -86,5 +86,5 @@ class Template:
     def stamped(self, stamp_ns: int) -> bytes:
         """Return the message as it is now with other stamps (nanoseconds)."""
         for place in self._stamps:
-            struct.pack_into(f"{self._order}iI", self._bytes.data, place, *divmod(stamp_ns, _SECOND_NS))
+            struct.pack_into(f"{self._order}iI", self._bytes.data, place, *divmod(stamp_ns, _NS_PER_S))
         return self._bytes.tobytes()

@@ -24,7 +24,7 @@ REPEATS, NAIVE_REPEATS = 50, 5
 LIFETIME_S = 2.0
 RING = (100, 100)
 TRIANGLES = 2 * RING[0] * RING[1]
-_STAMP = 1_700_000_000_123_456_789
+_STAMP_NS = 1_700_000_000_123_456_789
 
 
 def read_serialised(data: bytes) -> Cloud:
@@ -48,8 +48,8 @@ def time_answer(organ: Organ) -> dict[str, Any]:
     return _row(
         "answer to bytes",
         len(organ.structure_points),
-        lambda: ours.serialised(positions, displacement, sigma, _STAMP),
-        lambda: naive.answer(organ, positions, displacement, sigma, _STAMP),
+        lambda: ours.serialised(positions, displacement, sigma, _STAMP_NS),
+        lambda: naive.answer(organ, positions, displacement, sigma, _STAMP_NS),
         _same_answers,
     )
 
@@ -62,8 +62,8 @@ def time_markers(publisher: Any) -> dict[str, Any]:
     return _row(
         "markers published",
         TRIANGLES,
-        lambda: publisher.publish(ours.serialised(positions, _STAMP)),
-        lambda: publisher.publish(naive.markers(organ, positions, _STAMP)),
+        lambda: publisher.publish(ours.serialised(positions, _STAMP_NS)),
+        lambda: publisher.publish(naive.markers(organ, positions, _STAMP_NS)),
     )
 
 
