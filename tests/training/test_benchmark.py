@@ -17,7 +17,7 @@ from softtissue_training.evaluation import figures, methods
 from softtissue_training.evaluation.benchmark import plan as planning
 from softtissue_training.evaluation.benchmark import report
 from softtissue_training.evaluation.benchmark import run as benchmark
-from softtissue_training.evaluation.benchmark.cases import seen_organs
+from softtissue_training.evaluation.benchmark.cases import observed_organs
 from softtissue_training.evaluation.benchmark.fairness import among_answering
 from softtissue_training.evaluation.benchmark.intervals import mean_interval
 from softtissue_training.evaluation.benchmark.pairs import compare, parse_pairs
@@ -73,7 +73,7 @@ def test_every_condition_is_counted_from_the_answers(finished):
     store, spec = Store(out / "answers"), parse_methods("rigid")[0]
     means = {}
     for data in coarse_plan().data_sets:
-        jobs, digest = seen_organs(data, out / "simulations" / data.name)
+        jobs, digest = observed_organs(data, out / "simulations" / data.name)
         assert summary(out)["simulations"][data.name]["digest"] == digest
         for job in jobs:
             truths = store.read_truths(job.key)

@@ -8,7 +8,7 @@ import trimesh
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.organ.mesh import SurfaceMesh, vertex_areas
-from softtissue_training.evaluation.benchmark.cases import seen_organs
+from softtissue_training.evaluation.benchmark.cases import observed_organs
 from softtissue_training.evaluation.benchmark.plan import RANDOM_SEED, DataSet, View, base_of, make_plan
 from softtissue_training.evaluation.observe import (
     OUTLIER_ERROR_M,
@@ -97,7 +97,7 @@ def swept_folder(tmp_path_factory):
 def test_materials_of_one_load_are_seen_through_the_same_patch(swept_folder):
     folder, materials = swept_folder
     data = DataSet("nu", 3, COARSE, 1, (View("nu", 1),), materials)
-    jobs, _ = seen_organs(data, folder)
+    jobs, _ = observed_organs(data, folder)
     assert [job.conditions for job in jobs] == [("known", "other")]
     known, other = jobs[0].cases()
     assert np.array_equal(known.visible, other.visible)
@@ -109,14 +109,14 @@ def test_materials_of_one_load_are_seen_through_the_same_patch(swept_folder):
 def test_views_apply_to_the_first_organs_and_in_order(data_folder):
     settings = ObservationSettings(noise_m=0.002)
     views = (View("all", 3), View("noise", 2, settings))
-    jobs, digest = seen_organs(DataSet("random", 3, COARSE, 3, views), data_folder)
+    jobs, digest = observed_organs(DataSet("random", 3, COARSE, 3, views), data_folder)
     assert [job.conditions for job in jobs] == [("all", "noise"), ("all", "noise"), ("all",)]
     plain, noisy = jobs[0].cases()
     off = noisy.observation.displacement - plain.observation.displacement
     assert off.std() == pytest.approx(0.002, rel=0.1)
     assert (noisy.observation.sigma == 0.002).all()
     # Other conditions, other keys and the same simulations.
-    fewer, same = seen_organs(DataSet("random", 3, COARSE, 3, views[:1]), data_folder)
+    fewer, same = observed_organs(DataSet("random", 3, COARSE, 3, views[:1]), data_folder)
     assert same == digest
     assert [job.key for job in fewer][:2] != [job.key for job in jobs][:2]
     assert fewer[2].key == jobs[2].key

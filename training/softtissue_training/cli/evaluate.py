@@ -40,7 +40,7 @@ def _add_insilico(experiments: Commands) -> None:
         "--estimators",
         default="zero,rigid,rbf,fem,elastic,paper",
         metavar="LIST",
-        help="separated by commas: zero (no displacement), rigid (rigid fit of what is seen), rbf (radial basis "
+        help="separated by commas: zero (no displacement), rigid (rigid fit of the observation), rbf (radial basis "
         "interpolation), fem (finite elements with the visible displacement prescribed), elastic, paper or another "
         "estimator of the product; NAME=FILE.safetensors for weights of your own (default: %(default)s)",
     )
@@ -49,8 +49,17 @@ def _add_insilico(experiments: Commands) -> None:
     insilico.add_argument(
         "--skip", type=int, default=0, metavar="N", help="leave out the first N organs (default: 0)"
     )
+    _add_observation_options(insilico)
     insilico.add_argument(
-        "--seed", type=int, default=0, metavar="S", help="what is seen, and its noise (default: 0)"
+        "--workers", type=positive, default=1, metavar="N", help="processes of one thread (default: 1)"
+    )
+    insilico.add_argument("--device", default="auto", help="of networks: auto, cpu or cuda (default: auto)")
+    insilico.set_defaults(run=_insilico)
+
+
+def _add_observation_options(insilico: argparse.ArgumentParser) -> None:
+    insilico.add_argument(
+        "--seed", type=int, default=0, metavar="S", help="the observation and its noise (default: 0)"
     )
     insilico.add_argument(
         "--visible",
@@ -77,11 +86,6 @@ def _add_insilico(experiments: Commands) -> None:
     insilico.add_argument(
         "--sparse", type=positive, metavar="N", help="observe only N random points of the patch"
     )
-    insilico.add_argument(
-        "--workers", type=positive, default=1, metavar="N", help="processes of one thread (default: 1)"
-    )
-    insilico.add_argument("--device", default="auto", help="of networks: auto, cpu or cuda (default: auto)")
-    insilico.set_defaults(run=_insilico)
 
 
 def _insilico(options: argparse.Namespace) -> int:

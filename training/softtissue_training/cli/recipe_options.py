@@ -56,7 +56,11 @@ def add_recipe_options(parser: argparse.ArgumentParser) -> None:
     )
     _add_range(loads, "--force", _PAPER.force_n, "NEWTON", "force on each patch in newtons")
     _add_range(
-        loads, "--gravity", _PAPER.gravity, "G", "gravity in a random direction, in units of 9.81 m/s^2"
+        loads,
+        "--gravity",
+        _PAPER.gravity,
+        "G",
+        "gravity in a random direction, in units of 9.81 m/s^2",
     )
     _add_range(loads, "--pressure", _PAPER.pressure_pa, "PA", "pressure on one more patch in pascals")
 

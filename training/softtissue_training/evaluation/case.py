@@ -1,4 +1,4 @@
-"""A question with a known answer: an organ, what is seen of it, and where its points really are."""
+"""A question with a known answer: an organ, an observation of it, and where its points really are."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def depth_below(points: FloatArray, surface: SurfaceMesh, visible_faces: BoolArr
     points
         (n, 3) m.
     visible_faces
-        (m,) true for the faces that are seen; at least one.
+        (m,) true for the faces that are visible; at least one.
     """
     if not visible_faces.any():
         raise InvalidInputError("depth: expected at least one visible face, got none")

@@ -17,7 +17,7 @@ from softtissue_training.evaluation import metrics
 from softtissue_training.evaluation.measured import CaseResult
 
 _DPI = 120
-_FEWEST = 5  # points or samples below which a bin is not drawn
+_FEWEST_IN_BIN = 5  # points or samples below which a bin is not drawn
 
 
 def write_figures(folder: Path, results: Sequence[CaseResult]) -> list[Path]:
@@ -85,7 +85,7 @@ def _draw_bins(
     labels: Sequence[str],
     bins_of: Callable[[str], list[metrics.Bin]],
     scale: float,
-    fewest: int = _FEWEST,
+    fewest: int = _FEWEST_IN_BIN,
 ) -> None:
     for label in labels:
         bins = [b for b in bins_of(label) if b.errors is not None and b.errors.count >= fewest]

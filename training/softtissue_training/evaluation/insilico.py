@@ -1,4 +1,4 @@
-"""The in-silico experiment: simulated organs, each seen through a random patch (paper, experiment 1)."""
+"""The in-silico experiment: simulated organs, each observed through a random patch (paper, experiment 1)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from softtissue_training.evaluation.runner import evaluate
 from softtissue_training.simulation.archive import digest, list_records, read_records
 from softtissue_training.simulation.record_format import content_hash, parse_record
 
-_VERSION = 2  # of how cases are made
+_CASES_VERSION = 2  # of how cases are made
 ANSWERS, ROWS, SUMMARY, FIGURES = "answers", "samples.csv", "evaluation.json", "figures"
 
 
@@ -37,7 +37,7 @@ class SimulatedOrgan:
     settings
         How it is observed.
     seed
-        Seed of the evaluation; what is seen depends on it and on the record's own seed, not on other records.
+        Seed of the evaluation; the observation depends on it and on the record's own seed, not on other records.
     key
         Hash of all of this and of the record's content.
     """
@@ -111,7 +111,7 @@ def simulated_organs(
 
 
 def _key(content: str, settings: ObservationSettings, seed: int) -> str:
-    described = json.dumps([_VERSION, content, asdict(settings), seed], sort_keys=True)
+    described = json.dumps([_CASES_VERSION, content, asdict(settings), seed], sort_keys=True)
     return hashlib.sha256(described.encode()).hexdigest()[:24]
 
 

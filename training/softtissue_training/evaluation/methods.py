@@ -33,7 +33,12 @@ from softtissue_training.evaluation.case import EvaluationCase
 FloatArray = NDArray[np.float64]
 
 _SAME_PLACE_M = 1e-5
-_COMMON = ("evaluation/case.py", "evaluation/observe.py", "evaluation/methods.py", "organs/surface_patch.py")
+_COMMON_SOURCES = (
+    "evaluation/case.py",
+    "evaluation/observe.py",
+    "evaluation/methods.py",
+    "organs/surface_patch.py",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +109,10 @@ def no_displacement(case: EvaluationCase) -> FloatArray:
 
 def rigid_displacement(case: EvaluationCase) -> FloatArray:
     """Move all points by the rigid motion that fits the observed ones best, (n, 3) m."""
-    seen = case.observation
-    motion = fit_rigid(seen.reference, seen.reference + seen.displacement, seen.sigma**-2.0)
+    observation = case.observation
+    motion = fit_rigid(
+        observation.reference, observation.reference + observation.displacement, observation.sigma**-2.0
+    )
     return motion.apply(case.points) - case.points
 
 
@@ -255,7 +262,7 @@ def parse_methods(listed: str, device: str = "auto") -> list[MethodSpec]:
 def _sources(kind: str) -> list[Path]:
     """List the files whose change makes stored answers of a kind of estimator worthless."""
     training = Path(softtissue_training.__file__).parent
-    files = [training / name for name in _COMMON]
+    files = [training / name for name in _COMMON_SOURCES]
     if kind == "fem":
         files += [training / "evaluation" / "prescribed.py", *sorted((training / "physics").glob("*.py"))]
     if kind not in _FUNCTIONS:

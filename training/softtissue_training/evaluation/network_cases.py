@@ -31,7 +31,7 @@ from softtissue_estimator.observation.observation import Observation, make_obser
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.support.resources import bundled_checkpoint
 
-_POINTS = 1200
+_OBSERVED_POINTS = 1200
 _TIME_S = 1.2  # of the organ's swing: near its largest displacement
 
 
@@ -62,8 +62,11 @@ def paper_case(organ: Organ, config: EstimatorConfig) -> NetworkCase:
     checkpoint = load_checkpoint(bundled_checkpoint())
     spec = checkpoint.spec
     channels = cached_channels(organ, organ_grid(organ.surface, spec))
-    seen = _observation(organ, config)
-    parts = (torch.from_numpy(part) for part in (seen.reference, seen.displacement, seen.sigma))
+    observation = _observation(organ, config)
+    parts = (
+        torch.from_numpy(part)
+        for part in (observation.reference, observation.displacement, observation.sigma)
+    )
     inputs = assemble_input(channels, visible_displacement(channels.grid, *parts), spec)
     inside = channels.organ_mask
 
@@ -103,6 +106,6 @@ def hybrid_case(organ: Organ, config: EstimatorConfig) -> NetworkCase:
 
 
 def _observation(organ: Organ, config: EstimatorConfig) -> Observation:
-    scene = BendingOrgan(organ, _POINTS, np.random.default_rng(0))
-    sigma = np.full(_POINTS, NOISE_M)
+    scene = BendingOrgan(organ, _OBSERVED_POINTS, np.random.default_rng(0))
+    sigma = np.full(_OBSERVED_POINTS, NOISE_M)
     return make_observation(scene.points(_TIME_S), scene.reference, sigma, organ, config)[0]

@@ -30,8 +30,10 @@ Progress = Callable[[str], None]
 
 _CUBE = (64, 64, 64)  # of the paper
 _CUBE_REPEATS = 8  # at most: each takes a second
-_BLOCKS = 4  # every runtime has its turn so many times, so that what else the machine does falls on all
-_REFERENCE = UNetArchitecture(widths=(32, 64, 64, 192))  # 5.8 million weights
+_TIMING_ROUNDS = (
+    4  # every runtime has its turn so many times, so that what else the machine does falls on all
+)
+_REFERENCE_ARCHITECTURE = UNetArchitecture(widths=(32, 64, 64, 192))  # 5.8 million weights
 _REFERENCE_SHAPE = (48, 40, 32)
 OURS = "this software"
 
@@ -99,8 +101,8 @@ def time_reference(device: torch.device, repeats: int, progress: Progress) -> li
     """
     generator = torch.Generator().manual_seed(0)
     torch.manual_seed(0)
-    network = UNet(_REFERENCE).eval().requires_grad_(False)
-    inputs = torch.randn((1, _REFERENCE.in_channels, *_REFERENCE_SHAPE), generator=generator)
+    network = UNet(_REFERENCE_ARCHITECTURE).eval().requires_grad_(False)
+    inputs = torch.randn((1, _REFERENCE_ARCHITECTURE.in_channels, *_REFERENCE_SHAPE), generator=generator)
     case = NetworkCase("reference", network, inputs, lambda a, b: 20.0 * float((a - b).norm(dim=1).max()))
     return _time(_entries(case, device, progress, cube=False), repeats, progress)
 
@@ -156,14 +158,14 @@ def _entries(case: NetworkCase, device: torch.device, progress: Progress, *, cub
 
 def _time(entries: Sequence[_Entry], repeats: int, progress: Progress) -> list[dict[str, Any]]:
     seconds: list[list[float]] = [[] for _ in entries]
-    share = -(-repeats // _BLOCKS)
+    share = -(-repeats // _TIMING_ROUNDS)
     blocks = -(-repeats // share)
     with torch.inference_mode():
         for block in range(blocks):
             progress(f"{entries[0].case.name}: {len(entries)} rows, turn {block + 1} of {blocks}")
             for entry, measured in zip(entries, seconds, strict=True):
                 with _alone(entry):
-                    turns = min(share, _CUBE_REPEATS // _BLOCKS) if _is_cube(entry) else share
+                    turns = min(share, _CUBE_REPEATS // _TIMING_ROUNDS) if _is_cube(entry) else share
                     for number in range(turns + 1):
                         elapsed = _seconds(entry)
                         if number:  # the first after another runtime's turn finds the caches empty

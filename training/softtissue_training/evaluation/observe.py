@@ -29,12 +29,12 @@ OUTLIER_ERROR_M = (0.03, 0.08)
 
 @dataclass(frozen=True)
 class ObservationSettings:
-    """What is seen, and how well.
+    """What is observed, and how well.
 
     Attributes
     ----------
     visible_share
-        Lowest and highest share of the surface's area that is seen; drawn evenly between them.
+        Lowest and highest share of the surface's area that is visible; drawn evenly between them.
     noise_m
         Standard deviation of the Gaussian noise on each component of each observed displacement, m.
     spacing_m
@@ -104,7 +104,7 @@ def simulated_case(
     """Make a case of a simulation: one random visible patch, observed as the settings say.
 
     All randomness is drawn in one order (patch, points, noise, outliers), so that the same generator with more noise
-    sees the same patch.
+    observes the same patch.
 
     Parameters
     ----------

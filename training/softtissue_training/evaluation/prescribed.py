@@ -1,4 +1,4 @@
-"""Finite elements driven by what is seen: the classical estimator, in seconds instead of milliseconds."""
+"""Finite elements driven by the observation: the classical estimator, in seconds instead of milliseconds."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from softtissue_training.physics.solver import solve
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_RIDGE = 1e-6
-_SMALLEST_WEIGHT = 1e-3
+_RIDGE_WEIGHT = 1e-6  # of a mean point: keeps what the points leave open near the mean around it
+_LEAST_VERTEX_WEIGHT = 1e-3  # of all points together, below which they say nothing about a vertex
 
 
 def finite_element_displacement(case: EvaluationCase) -> FloatArray:
@@ -71,14 +71,14 @@ def vertex_displacement(observation: Observation, surface: SurfaceMesh) -> tuple
     """
     weights = _interpolation(observation.reference, surface)
     sums = np.asarray(weights.sum(axis=0))
-    vertices = np.flatnonzero(sums > _SMALLEST_WEIGHT)
+    vertices = np.flatnonzero(sums > _LEAST_VERTEX_WEIGHT)
     precision = observation.sigma**-2.0 / float(np.mean(observation.sigma**-2.0))
-    seen = csr_array(weights[:, vertices])
-    weighted = csr_array(seen.multiply(precision[:, None]))
+    observed = csr_array(weights[:, vertices])
+    weighted = csr_array(observed.multiply(precision[:, None]))
     around = np.asarray(weighted.T @ observation.displacement) / np.asarray(weighted.sum(axis=0))[:, None]
-    normal = (seen.T @ weighted).toarray()
-    normal[np.diag_indices(len(vertices))] += _RIDGE
-    correction = np.linalg.solve(normal, weighted.T @ (observation.displacement - seen @ around))
+    normal = (observed.T @ weighted).toarray()
+    normal[np.diag_indices(len(vertices))] += _RIDGE_WEIGHT
+    correction = np.linalg.solve(normal, weighted.T @ (observation.displacement - observed @ around))
     return vertices, around + correction
 
 

@@ -21,7 +21,7 @@ from softtissue_training.evaluation.benchmark.machine import machine
 
 Progress = Callable[[str], None]
 
-_WARM_UP = 2  # frames, in which libraries set themselves up
+_WARM_UP_FRAMES = 2  # frames, in which libraries set themselves up
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def measure(
             for count in plan.points:
                 progress(f"{name}, {count} points: {plan.frames} frames")
                 warm = BendingOrgan(organ, count, np.random.default_rng(seed))
-                time_frames(estimator, organ, own, warm, dataclasses.replace(plan, frames=_WARM_UP))
+                time_frames(estimator, organ, own, warm, dataclasses.replace(plan, frames=_WARM_UP_FRAMES))
                 estimator.forget()
                 scene = BendingOrgan(organ, count, np.random.default_rng(seed))
                 frames = time_frames(estimator, organ, own, scene, plan)

@@ -21,7 +21,7 @@ from softtissue_estimator.errors import InvalidInputError
 Cell = str | float | int | None
 
 HTML_NAME, JSON_NAME, CSV_NAME = "report.html", "report.json", "report.csv"
-_DIGITS = 2
+_DECIMALS = 2
 
 _STYLE = """
 body { font: 15px/1.45 sans-serif; max-width: 72em; margin: 2em auto; padding: 0 1em; color: #222; }
@@ -145,7 +145,7 @@ def format_cell(cell: Cell) -> str:
     """
     if cell is None:
         return "–"
-    return f"{cell:.{_DIGITS}f}" if isinstance(cell, float) else str(cell)
+    return f"{cell:.{_DECIMALS}f}" if isinstance(cell, float) else str(cell)
 
 
 def format_table(table: Table) -> str:

@@ -53,7 +53,7 @@ def random_orientation(
     mask
         (B, 1, X, Y, Z).
     shape
-        Wanted cell counts; an order of the sample's own.
+        Target cell counts; an order of the sample's own.
     orientations
         48: axes are exchanged as well as mirrored; 8: mirrored; 1: the sample as it is. With the latter two, the shape
         must be the sample's.

@@ -1,4 +1,4 @@
-"""How much of an organ's surroundings a batch sees: the organ's own box, or more, up to the whole cube."""
+"""How much of an organ's surroundings a batch covers: the organ's own box, or more, up to the whole cube."""
 
 from __future__ import annotations
 

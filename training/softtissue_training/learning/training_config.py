@@ -30,7 +30,7 @@ class TrainingConfig:
     ema_decay
         Decay a step of the moving average of the weights, which is what is validated and kept; 0 for none.
     visible_share
-        Lowest and highest share of the surface that is seen, in training.
+        Lowest and highest share of the surface that is visible, in training.
     noise_m
         Lowest and highest standard deviation of the Gaussian noise on each component of a visible point's
         displacement, metres; drawn anew each time a sample is used.
@@ -45,14 +45,14 @@ class TrainingConfig:
         Share of the batches that see more of the surroundings than the organ's own box, up to the whole cube, with the
         organ anywhere in it.
     validation_visible_share
-        Share of the surface that is seen, in validation.
+        Share of the surface that is visible, in validation.
     validation_every
         One organ out of this many is held out, with all its load cases; 0: the samples that are trained on are
         validated with the patches that they are trained with, which shows whether a network learns them by heart.
     validation_samples
         Held-out organs that are used at most.
     seed
-        Seed of the initial weights, of the order of samples and of what is seen of them.
+        Seed of the initial weights, of the order of samples and of their observations.
     """
 
     name: str = "paper"

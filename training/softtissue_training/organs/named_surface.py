@@ -17,15 +17,15 @@ from softtissue_training.organs.organ_shape import CUBE_SIDE_M, check_self_inter
 from softtissue_training.organs.resampling import resample
 from softtissue_training.organs.tetrahedralise import TetMesh, tetrahedralise
 
-_MENDED_SPACING = 0.4  # of the wanted edge length: resampling needs a finer surface
-_SUBDIVISIONS = 3
-_SIZES = (1.0, 0.95, 1.05, 0.9, 1.1)  # of the wanted edge length, tried in this order
+_MENDED_SPACING_RATIO = 0.4  # of the target edge length: resampling needs a finer surface
+_MOST_SUBDIVISIONS = 3
+_EDGE_LENGTH_RATIOS = (1.0, 0.95, 1.05, 0.9, 1.1)  # of the target edge length, tried in this order
 
 
 def organ_from_file(path: Path, unit_m: float, element_size_m: float = 0.010) -> TetMesh:
     """Read a surface and fill it with tetrahedra of one size, its bounding box centred on the origin.
 
-    The surface is given triangles of the wanted size first. One that is open or cuts itself is replaced by the zero
+    The surface is given triangles of the target size first. One that is open or cuts itself is replaced by the zero
     set of its signed distance on a grid.
 
     Parameters
@@ -35,7 +35,7 @@ def organ_from_file(path: Path, unit_m: float, element_size_m: float = 0.010) ->
     unit_m
         Length of the file's unit, metres.
     element_size_m
-        Wanted edge length, metres.
+        Target edge length, metres.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def organ_from_file(path: Path, unit_m: float, element_size_m: float = 0.010) ->
 def _filled(mesh: SurfaceMesh, element_size_m: float) -> TetMesh:
     """Fill a closed surface; at thin edges, a slightly different size may avoid flat elements."""
     first: MeshError | None = None
-    for factor in _SIZES:
+    for factor in _EDGE_LENGTH_RATIOS:
         try:
             surface = resample(_fine(mesh, factor * element_size_m), factor * element_size_m)
             check_self_intersection(surface)
@@ -74,9 +74,9 @@ def _filled(mesh: SurfaceMesh, element_size_m: float) -> TetMesh:
 
 
 def _fine(mesh: SurfaceMesh, element_size_m: float) -> SurfaceMesh:
-    """Cut triangles in four until they are small against the wanted ones."""
+    """Cut triangles in four until they are small against the target ones."""
     fine = mesh
-    for _ in range(_SUBDIVISIONS):
+    for _ in range(_MOST_SUBDIVISIONS):
         corners = fine.vertices[fine.faces]
         if np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean() < 0.75 * element_size_m:
             break
@@ -87,7 +87,7 @@ def _fine(mesh: SurfaceMesh, element_size_m: float) -> SurfaceMesh:
 
 def _mended(mesh: SurfaceMesh, element_size_m: float) -> SurfaceMesh:
     """Return where the signed distance to a surface, which needs no closed one, is zero."""
-    spacing = _MENDED_SPACING * element_size_m
+    spacing = _MENDED_SPACING_RATIO * element_size_m
     lower = mesh.vertices.min(axis=0) - 2.0 * spacing
     counts = np.ceil((mesh.vertices.max(axis=0) + 2.0 * spacing - lower) / spacing).astype(int) + 1
     # libigl numbers the corners of its cells with x running fastest.

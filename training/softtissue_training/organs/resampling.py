@@ -26,12 +26,12 @@ def resample(mesh: SurfaceMesh, edge_length_m: float) -> SurfaceMesh:
     MeshError
         The edges could not be collapsed that far.
     """
-    wanted_faces = int(float(face_areas(mesh).sum()) / (np.sqrt(3.0) / 4.0 * edge_length_m**2))
-    if wanted_faces >= len(mesh.faces):
+    target_faces = int(float(face_areas(mesh).sum()) / (np.sqrt(3.0) / 4.0 * edge_length_m**2))
+    if target_faces >= len(mesh.faces):
         raise MeshError(
-            f"resampling needs a finer surface: {wanted_faces} faces wanted, got {len(mesh.faces)}"
+            f"resampling needs a finer surface: {target_faces} faces wanted, got {len(mesh.faces)}"
         )
-    vertices, faces = igl.decimate(mesh.vertices, mesh.faces, wanted_faces)[:2]
+    vertices, faces = igl.decimate(mesh.vertices, mesh.faces, target_faces)[:2]
     coarse = trimesh.Trimesh(vertices, faces, process=False)
     if not coarse.is_watertight or coarse.euler_number != 2:
         raise MeshError(

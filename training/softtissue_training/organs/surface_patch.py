@@ -47,7 +47,7 @@ def resized(surface: SurfaceMesh, region: BoolArray, share: float) -> BoolArray:
     region
         (n,) true for the region's vertices; at least one.
     share
-        Wanted area over present area, as near as whole vertices allow; at least one vertex stays.
+        Target area over present area, as near as whole vertices allow; at least one vertex stays.
     """
     areas = vertex_areas(surface)
     grows = share >= 1.0
@@ -81,7 +81,7 @@ def draw_faces(
     Parameters
     ----------
     draw_share
-        Draws the wanted share of the area, 0 to 1; called after the point is drawn.
+        Draws the target share of the area, 0 to 1; called after the point is drawn.
     """
     areas = face_areas(surface)
     start = int(rng.choice(len(areas), p=areas / areas.sum()))
@@ -101,7 +101,7 @@ def grow_patch(from_seed: FloatArray, faces: NDArray[np.int64], areas: FloatArra
     areas
         (m,) m^2.
     share
-        Wanted share of the area, 0 to 1.
+        Target share of the area, 0 to 1.
     """
     order = np.argsort(from_seed[faces].mean(axis=1))
     covered = np.cumsum(areas[order]) / areas.sum()

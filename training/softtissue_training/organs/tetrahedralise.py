@@ -14,8 +14,8 @@ from softtissue_estimator.organ.mesh import SurfaceMesh
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_TRIANGLE, _TETRAHEDRON = 2, 4
-_DELAUNAY_3D = 1
+_GMSH_TRIANGLE, _GMSH_TETRAHEDRON = 2, 4
+_GMSH_DELAUNAY_3D = 1
 MINIMUM_QUALITY = 0.1
 """Smallest ratio of inscribed to circumscribed radius (times three) accepted; 1 is regular, 0 flat."""
 
@@ -52,7 +52,7 @@ def tetrahedralise(surface: SurfaceMesh, element_size_m: float = 0.010) -> TetMe
     surface
         Closed, outward winding, free of self-intersections, metres.
     element_size_m
-        Wanted edge length inside, metres.
+        Target edge length inside, metres.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def tetrahedralise(surface: SurfaceMesh, element_size_m: float = 0.010) -> TetMe
         gmsh.initialize(readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.option.setNumber("General.NumThreads", 1)
-    gmsh.option.setNumber("Mesh.Algorithm3D", _DELAUNAY_3D)
+    gmsh.option.setNumber("Mesh.Algorithm3D", _GMSH_DELAUNAY_3D)
     gmsh.option.setNumber("Mesh.MeshSizeMax", element_size_m)
     gmsh.option.setNumber("Mesh.Optimize", 1)
     gmsh.model.add("organ")
@@ -81,7 +81,7 @@ def _fill(surface: SurfaceMesh) -> tuple[FloatArray, IntArray]:
     count = len(surface.vertices)
     entity = gmsh.model.addDiscreteEntity(2)
     gmsh.model.mesh.addNodes(2, entity, np.arange(1, count + 1), surface.vertices.ravel())
-    gmsh.model.mesh.addElementsByType(entity, _TRIANGLE, [], (surface.faces + 1).ravel())
+    gmsh.model.mesh.addElementsByType(entity, _GMSH_TRIANGLE, [], (surface.faces + 1).ravel())
     loop = gmsh.model.geo.addSurfaceLoop([entity])
     gmsh.model.geo.addVolume([loop])
     gmsh.model.geo.synchronize()
@@ -89,7 +89,7 @@ def _fill(surface: SurfaceMesh) -> tuple[FloatArray, IntArray]:
     tags, coordinates, _ = gmsh.model.mesh.getNodes()
     order = np.argsort(tags)
     tags, coordinates = tags[order], coordinates.reshape(-1, 3)[order]
-    _, nodes = gmsh.model.mesh.getElementsByType(_TETRAHEDRON)
+    _, nodes = gmsh.model.mesh.getElementsByType(_GMSH_TETRAHEDRON)
     if len(nodes) == 0:
         raise MeshError("Gmsh returned no tetrahedra")
     tets = np.searchsorted(tags, nodes).reshape(-1, 4).astype(np.int64)

@@ -25,14 +25,14 @@ ORGAN_FRAME = "organ"
 # Where the vessels enter: from a point outside (m) towards one inside, 10 mm below the surface.
 _PORTAL_ENTRY = ((0.008, 0.060, -0.030), (-0.005, 0.0, 0.010))
 _HEPATIC_ENTRY = ((0.010, 0.060, 0.060), (0.0, 0.010, 0.040))
-_ENTRY_DEPTH = 0.010
-_VESSEL_DEPTH = 0.010
-_VESSEL_END_RADIUS = 0.0018
-_VESSEL_GAP = 0.007
+_ENTRY_DEPTH_M = 0.010
+_VESSEL_DEPTH_M = 0.010
+_VESSEL_END_RADIUS_M = 0.0018
+_VESSEL_GAP_M = 0.007
 _VESSEL_CANDIDATES = 700
-_TUMOUR_RADIUS = 0.014
-_TUMOUR_DEPTH = 0.026
-_TUMOUR_GAP = 0.002
+_TUMOUR_RADIUS_M = 0.014
+_TUMOUR_DEPTH_M = 0.026
+_TUMOUR_GAP_M = 0.002
 
 
 @dataclass(frozen=True)
@@ -87,27 +87,27 @@ def build_anatomy(
     liver = random_liver(rng)
     surface = isosurface(liver, *liver.box, spec.surface_spacing)
     progress("vessels")
-    candidates = interior_points(liver, liver.box, _VESSEL_DEPTH, _VESSEL_CANDIDATES, rng)
+    candidates = interior_points(liver, liver.box, _VESSEL_DEPTH_M, _VESSEL_CANDIDATES, rng)
     portal_root = enter_organ(liver, straight_way(*np.array(_PORTAL_ENTRY)))
-    portal = grow_tree(liver, portal_root, spec.portal_ends, candidates, _VESSEL_END_RADIUS)
+    portal = grow_tree(liver, portal_root, spec.portal_ends, candidates, _VESSEL_END_RADIUS_M)
     candidates = interior_points(
         liver,
         liver.box,
-        _VESSEL_DEPTH,
+        _VESSEL_DEPTH_M,
         _VESSEL_CANDIDATES,
         rng,
-        free=lambda points: portal(points) > _VESSEL_GAP,
+        free=lambda points: portal(points) > _VESSEL_GAP_M,
     )
     hepatic_root = enter_organ(liver, straight_way(*np.array(_HEPATIC_ENTRY)))
-    hepatic = grow_tree(liver, hepatic_root, spec.hepatic_ends, candidates, _VESSEL_END_RADIUS)
+    hepatic = grow_tree(liver, hepatic_root, spec.hepatic_ends, candidates, _VESSEL_END_RADIUS_M)
     portal_mesh = isosurface(portal, *portal.box, spec.vessel_spacing, rounds=8)
     hepatic_mesh = isosurface(hepatic, *hepatic.box, spec.vessel_spacing, rounds=8)
     progress("tumour")
     room = interior_points(
-        liver, liver.box, _TUMOUR_DEPTH, 2000, rng, free=lambda points: points[:, 0] < -0.02
+        liver, liver.box, _TUMOUR_DEPTH_M, 2000, rng, free=lambda points: points[:, 0] < -0.02
     )
     tumour = place_tumour(
-        room, (portal_mesh.vertices, hepatic_mesh.vertices), _TUMOUR_RADIUS, _TUMOUR_GAP, rng
+        room, (portal_mesh.vertices, hepatic_mesh.vertices), _TUMOUR_RADIUS_M, _TUMOUR_GAP_M, rng
     )
     parts = (
         Part("portal vein", "vessel", portal_mesh, (0.25, 0.35, 0.85)),
@@ -137,7 +137,7 @@ def enter_organ(shape: Implicit, way: Points) -> Array:
     MeshError
         If no point of the way does.
     """
-    deep = shape(way) < -_ENTRY_DEPTH
+    deep = shape(way) < -_ENTRY_DEPTH_M
     if not deep.any():
         raise MeshError(f"expected the organ between {way[0]} and {way[-1]} m, found none")
     return np.array(way[int(np.argmax(deep))])

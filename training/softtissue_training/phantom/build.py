@@ -18,8 +18,8 @@ from softtissue_training.phantom.spec import PhantomSpec
 Array = NDArray[np.float64]
 ORGAN_NAME = "phantom_liver"
 BAG_NAME = "phantom"
-_REGISTRATION_PERIOD = 1.0  # s
-_TRUTH_EVERY = 20  # frames
+_REGISTRATION_PERIOD_S = 1.0
+_FRAMES_PER_TRUTH = 20
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,9 @@ def _write_bag(phantom: Phantom, spec: PhantomSpec, folder: Path, rng: np.random
         for number, frame in enumerate(record(anatomy, motion, phantom.markers, pose, spec, rng)):
             while next_registration <= frame.time + 1e-9:
                 bag.registration(pose, next_registration)
-                next_registration += _REGISTRATION_PERIOD
+                next_registration += _REGISTRATION_PERIOD_S
             bag.frame(frame, phantom.markers)
-            if number % _TRUTH_EVERY == 0 or number == peak:
+            if number % _FRAMES_PER_TRUTH == 0 or number == peak:
                 bag.organ(points + motion.at(weights, frame.time), frame.time)
 
 
@@ -74,11 +74,11 @@ def describe(phantom: Phantom, spec: PhantomSpec) -> str:
     areas = face_areas(surface)
     size = 1e3 * np.ptp(surface.vertices, axis=0)
     attached = anatomy.attached[surface.faces].all(axis=1)
-    seen = areas[visible_faces(anatomy)].sum() / areas.sum()
+    visible = areas[visible_faces(anatomy)].sum() / areas.sum()
     lines = [
         f"organ: {len(surface.faces)} triangles, {1e6 * enclosed_volume(surface):.0f} ml, "
         f"{size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} mm, {1e4 * areas.sum():.0f} cm^2",
-        f"attached: {100 * areas[attached].sum() / areas.sum():.1f} % of the surface, visible: {100 * seen:.1f} %",
+        f"attached: {100 * areas[attached].sum() / areas.sum():.1f} % of the surface, visible: {100 * visible:.1f} %",
     ]
     lines += [_part_line(part.name, part.mesh) for part in anatomy.parts]
     moved = np.linalg.norm(motion.at(motion.interpolator.weights(surface.vertices), motion.peak_time), axis=1)

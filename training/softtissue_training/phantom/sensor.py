@@ -1,4 +1,4 @@
-"""What a tracking endoscope sees of the moving organ, and what is true at the same moments."""
+"""What a tracking endoscope observes of the moving organ, and what is true at the same moments."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ from softtissue_training.phantom.vessels import interior_points
 
 Array = NDArray[np.float64]
 CLOUD_FRAME = "endoscope"
-_CAMERA_POSITION = (0.02, -0.19, -0.09)  # m, organ frame
-_MARKER_DEPTH = 0.010  # m below the surface
-_DEEP = 0.022  # m below the surface
+_CAMERA_POSITION_M = (0.02, -0.19, -0.09)  # organ frame
+_MARKER_DEPTH_M = 0.010  # below the surface
+_DEEP_MARKER_DEPTH_M = 0.022  # below the surface
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Frame:
 
 def endoscope_pose(target: Array) -> Pose:
     """Pose of the organ seen from the endoscope, whose z axis looks at `target` (3,) m and whose y axis points down."""
-    position = np.array(_CAMERA_POSITION)
+    position = np.array(_CAMERA_POSITION_M)
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, np.array([0.0, 0.0, 1.0]))
     right /= np.linalg.norm(right)
@@ -72,7 +72,7 @@ def endoscope_pose(target: Array) -> Pose:
 
 
 def choose_markers(anatomy: Anatomy, motion: Motion, spec: PhantomSpec, rng: np.random.Generator) -> Array:
-    """Pick material points ``(k, 3)`` m inside the organ, far from one another, that move as far as wanted.
+    """Pick material points ``(k, 3)`` m inside the organ, far from one another, that move as far as required.
 
     The range is `spec.marker_motion` at the peak; all lie at least 10 mm below the surface. The first is the one
     farthest from the visible patch; every second one lies at least 22 mm deep.
@@ -80,13 +80,13 @@ def choose_markers(anatomy: Anatomy, motion: Motion, spec: PhantomSpec, rng: np.
     Raises
     ------
     InvalidInputError
-        If fewer such points are found than markers are wanted.
+        If fewer such points are found than markers are required.
     """
-    points = interior_points(anatomy.shape, anatomy.shape.box, _MARKER_DEPTH, 4000, rng)
+    points = interior_points(anatomy.shape, anatomy.shape.box, _MARKER_DEPTH_M, 4000, rng)
     moved = np.linalg.norm(motion.at(motion.interpolator.weights(points), motion.peak_time), axis=1)
     lowest, highest = spec.marker_motion
     points = points[(moved >= lowest) & (moved <= highest)]
-    deep = anatomy.shape(points) < -_DEEP
+    deep = anatomy.shape(points) < -_DEEP_MARKER_DEPTH_M
     if len(points) < spec.markers or np.count_nonzero(deep) < spec.markers // 2:
         raise InvalidInputError(
             f"expected {spec.markers} inner points that move {1e3 * lowest:g} to {1e3 * highest:g} mm at the peak, "

@@ -10,8 +10,8 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.phantom.implicit import Points, Values
 
 Array = NDArray[np.float64]
-_BUMP = 0.12  # of the radius
-_SMALLEST = 0.6  # of the wanted radius
+_BUMP_RATIO = 0.12  # of the radius
+_SMALLEST_RADIUS_RATIO = 0.6  # of the target radius
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def place_tumour(
 ) -> Tumour:
     """Put a tumour of `radius` (m) where both vessels pass at about `gap` (m) from its surface.
 
-    Where the vessels leave no room for it, it is made smaller, down to `_SMALLEST` of the radius.
+    Where the vessels leave no room for it, it is made smaller, down to `_SMALLEST_RADIUS_RATIO` of the radius.
 
     Parameters
     ----------
@@ -60,8 +60,8 @@ def place_tumour(
         If at every candidate a vessel would pass through the smallest tumour.
     """
     distance = np.stack([cKDTree(vertices).query(candidates)[0] for vertices in vessels], axis=1)
-    for scale in np.linspace(1.0, _SMALLEST, 9):
-        excess = distance - ((1.0 + _BUMP) * scale * radius + gap)
+    for scale in np.linspace(1.0, _SMALLEST_RADIUS_RATIO, 9):
+        excess = distance - ((1.0 + _BUMP_RATIO) * scale * radius + gap)
         allowed = np.all(excess >= -0.5 * gap, axis=1)
         if allowed.any():
             break
@@ -71,7 +71,7 @@ def place_tumour(
     return Tumour(
         centre=candidates[best],
         radius=scale * radius,
-        bump=_BUMP * scale * radius,
+        bump=_BUMP_RATIO * scale * radius,
         directions=rng.normal(0.0, 2.0, (5, 3)),
         phases=rng.uniform(0.0, 2.0 * np.pi, 5),
     )

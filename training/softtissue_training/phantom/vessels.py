@@ -15,10 +15,9 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.phantom.implicit import Implicit, Points, Values, capsule, smooth_union
 
 Array = NDArray[np.float64]
-_BALANCE = (
-    0.45  # weight of the way to the root against the length of the new branch; 0 gives a wandering tree
-)
-_BLEND = 0.0015  # m, rounding where tubes meet
+# Of the way to the root against the length of the new branch; 0 gives a wandering tree.
+_ROOT_WAY_WEIGHT = 0.45
+_BLEND_M = 0.0015  # rounding where tubes meet
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class VesselTree:
                 (points > np.minimum(start, end) - reach) & (points < np.maximum(start, end) + reach), axis=1
             )
             tube = capsule(points[near], start, end, self.radius[self.parent[child]], self.radius[child])
-            value[near] = smooth_union(np.minimum(value[near], 1.0), tube, _BLEND)
+            value[near] = smooth_union(np.minimum(value[near], 1.0), tube, _BLEND_M)
         # Far from every tube only the sign matters.
         return np.asarray(np.minimum(value, 0.01))
 
@@ -135,13 +134,13 @@ def _balanced_tree(points: Array) -> NDArray[np.int64]:
     joined[0] = True
     length = np.linalg.norm(points - points[0], axis=1)
     # Squared lengths make two short steps cheaper than a long one, so that branches share their way.
-    cost = length**2 / 0.01 + _BALANCE * length
+    cost = length**2 / 0.01 + _ROOT_WAY_WEIGHT * length
     for _ in range(count - 1):
         new = int(np.argmin(np.where(joined, np.inf, cost)))
         joined[new] = True
         way[new] = way[parent[new]] + np.linalg.norm(points[new] - points[parent[new]])
         length = np.linalg.norm(points - points[new], axis=1)
-        offer = length**2 / 0.01 + _BALANCE * (way[new] + length)
+        offer = length**2 / 0.01 + _ROOT_WAY_WEIGHT * (way[new] + length)
         better = ~joined & (offer < cost)
         parent[better] = new
         cost[better] = offer[better]

@@ -19,8 +19,8 @@ from softtissue_training.physics.block_system import PAIR_FIRST, PAIR_SECOND
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_PAIR = np.full((4, 4), -1)
-_PAIR[PAIR_FIRST, PAIR_SECOND] = np.arange(len(PAIR_FIRST))
+_PAIR_NUMBER = np.full((4, 4), -1)
+_PAIR_NUMBER[PAIR_FIRST, PAIR_SECOND] = np.arange(len(PAIR_FIRST))
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class SurfacePressure:
                 block = np.zeros((len(s), 3, 3))
                 for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
                     block[:, j, i], block[:, i, j] = s[:, k], -s[:, k]
-                np.add.at(result, (element[below], _PAIR[local[below, a], local[below, b]]), block)
+                np.add.at(result, (element[below], _PAIR_NUMBER[local[below, a], local[below, b]]), block)
         return result
 
 

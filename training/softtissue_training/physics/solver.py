@@ -37,8 +37,8 @@ Formulation = Literal["plain", "averaged"]
 NEARLY_INCOMPRESSIBLE = 0.40
 """Poisson's ratio above which the volumetric strain is averaged unless a formulation is asked for."""
 
-_ARMIJO = 1e-4
-_HALVINGS = 12
+_ARMIJO_SHARE = 1e-4
+_MOST_HALVINGS = 12
 
 
 @dataclass(frozen=True)
@@ -228,17 +228,17 @@ def _newton_step(body: Body, displacement: FloatArray, load: _Load, unbalanced: 
         if not np.isfinite(slope) or slope >= 0.0:
             continue
         length = 1.0
-        for _ in range(_HALVINGS):
+        for _ in range(_MOST_HALVINGS):
             trial = displacement + length * step
             force = load.mean_force(displacement, trial)
             before = energy - _dot(force, displacement)
             after = body.energy(trial) - _dot(force, trial)
             # Near the solution the gain drowns in rounding.
-            if after <= before + _ARMIJO * length * slope + 1e-13 * abs(before):
+            if after <= before + _ARMIJO_SHARE * length * slope + 1e-13 * abs(before):
                 return trial
             length *= 0.5
     raise SolverDivergedError(
-        f"no step of at least {0.5**_HALVINGS:.1e} times Newton's lowers the energy; unbalanced force "
+        f"no step of at least {0.5**_MOST_HALVINGS:.1e} times Newton's lowers the energy; unbalanced force "
         f"{_norm(unbalanced[body.free]):.3g} N"
     )
 

@@ -18,7 +18,7 @@ from tqdm import tqdm
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.simulation.record_format import content_hash, format_compact, parse_record
 
-_SUFFIX, _COMPACT = ".npz", ".sim"
+_PLAIN_SUFFIX, _COMPACT_SUFFIX = ".npz", ".sim"
 
 
 def record_name(number: int) -> str:
@@ -29,7 +29,7 @@ def record_name(number: int) -> str:
     >>> record_name(7)
     'organ_000007.npz'
     """
-    return f"organ_{number:06d}{_SUFFIX}"
+    return f"organ_{number:06d}{_PLAIN_SUFFIX}"
 
 
 def record_number(name: str) -> int:
@@ -67,7 +67,7 @@ def list_records(data: Path) -> list[str]:
         raise InvalidInputError(
             f"simulations are read from a folder or a packed file, got {data}, which does not exist"
         )
-    return sorted(name for name in names if name.endswith((_SUFFIX, _COMPACT)))
+    return sorted(name for name in names if name.endswith((_PLAIN_SUFFIX, _COMPACT_SUFFIX)))
 
 
 def read_records(data: Path, names: Iterable[str]) -> Iterator[bytes]:
@@ -103,7 +103,7 @@ def pack(folder: Path, target: Path, *, compact: bool = False) -> int:
             leave=False,
         ):
             if compact:
-                name = str(Path(name).with_suffix(_COMPACT))
+                name = str(Path(name).with_suffix(_COMPACT_SUFFIX))
                 content = format_compact(parse_record(content, str(folder / name)))
             packed.writestr(name, content)
     partial.replace(target)

@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 _PANEL = (600, 720)  # pixels, before smoothing
 _OVERSAMPLING = 2  # pixels drawn over pixels shown, along each side
-_ORGAN, _ATTACHED, _PUSHED = (
+_ORGAN_COLOUR, _ATTACHED_COLOUR, _PUSHED_COLOUR = (
     np.array([0.80, 0.48, 0.42]),
     np.array([0.25, 0.25, 0.30]),
     np.array([0.2, 0.45, 0.9]),
@@ -65,7 +65,7 @@ def draw_simulations(path: Path, samples: Sequence[Sample], title: str) -> None:
 
 def _roles(sample: Sample) -> FloatArray:
     """Colour of each surface vertex, (s, 3)."""
-    colour = np.tile(_ORGAN, (sample.surface_count, 1))
-    colour[np.linalg.norm(sample.force[: sample.surface_count], axis=1) > 0.0] = _PUSHED
-    colour[sample.attached] = _ATTACHED
+    colour = np.tile(_ORGAN_COLOUR, (sample.surface_count, 1))
+    colour[np.linalg.norm(sample.force[: sample.surface_count], axis=1) > 0.0] = _PUSHED_COLOUR
+    colour[sample.attached] = _ATTACHED_COLOUR
     return colour

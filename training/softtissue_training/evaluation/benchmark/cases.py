@@ -1,4 +1,4 @@
-"""The cases of the benchmark: one record seen in several ways."""
+"""The cases of the benchmark: one record observed in several ways."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from softtissue_training.evaluation.observe import ObservationSettings, simulate
 from softtissue_training.simulation.archive import digest, read_records, record_name
 from softtissue_training.simulation.record_format import content_hash, parse_record
 
-_VERSION = 1  # of how cases are made
+_CASES_VERSION = 1  # of how cases are made
 _OBSERVATION_SEED = 0
 
 
 @dataclass(frozen=True)
-class SeenOrgan:
+class ObservedOrgan:
     """All cases of one record; see `runner.Job`.
 
     Attributes
@@ -42,7 +42,7 @@ class SeenOrgan:
     key: str
 
     def cases(self) -> list[EvaluationCase]:
-        """See `runner.Job.cases`; all cases of a record see the same patch of it."""
+        """See `runner.Job.cases`; all cases of a record observe the same patch of it."""
         content = next(read_records(self.data, [self.name]))
         record = parse_record(content, f"{self.data}: {self.name}")
         views = len(self.settings) // len(record.simulations)
@@ -82,7 +82,7 @@ def organ_of(name: str) -> str:
     return name.rpartition("/")[0]
 
 
-def seen_organs(data: DataSet, folder: Path) -> tuple[list[SeenOrgan], str]:
+def observed_organs(data: DataSet, folder: Path) -> tuple[list[ObservedOrgan], str]:
     """List the jobs of a data set whose simulations are complete.
 
     Parameters
@@ -98,19 +98,21 @@ def seen_organs(data: DataSet, folder: Path) -> tuple[list[SeenOrgan], str]:
         Hash of the simulations.
     """
     names = [record_name(number) for number in range(data.organs)]
-    jobs: list[SeenOrgan] = []
+    jobs: list[ObservedOrgan] = []
     hashes: dict[str, str] = {}
     for number, (name, content) in enumerate(zip(names, read_records(folder, names), strict=True)):
         hashes[name] = content_hash(content, f"{folder}: {name}")
-        seen = [view for view in data.views if number < view.organs]
-        conditions = tuple(label for label, _ in data.materials) or tuple(view.condition for view in seen)
-        settings = tuple(view.settings for view in seen) * max(1, len(data.materials))
-        jobs.append(SeenOrgan(folder, name, conditions, settings, _key(hashes[name], conditions, settings)))
+        used = [view for view in data.views if number < view.organs]
+        conditions = tuple(label for label, _ in data.materials) or tuple(view.condition for view in used)
+        settings = tuple(view.settings for view in used) * max(1, len(data.materials))
+        jobs.append(
+            ObservedOrgan(folder, name, conditions, settings, _key(hashes[name], conditions, settings))
+        )
     return jobs, digest(hashes)
 
 
 def _key(content: str, conditions: tuple[str, ...], settings: tuple[ObservationSettings, ...]) -> str:
     described = json.dumps(
-        ["benchmark", _VERSION, content, conditions, [asdict(one) for one in settings]], sort_keys=True
+        ["benchmark", _CASES_VERSION, content, conditions, [asdict(one) for one in settings]], sort_keys=True
     )
     return hashlib.sha256(described.encode()).hexdigest()[:24]

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-_ROUNDS = 1000
-_FEWEST = 3
+_BOOTSTRAP_ROUNDS = 1000
+_FEWEST_SAMPLES = 3
 
 
 def mean_interval(
@@ -30,9 +30,9 @@ def mean_interval(
     """
     counted = counts > 0.0
     sums, counts = sums[counted], counts[counted]
-    if len(sums) < _FEWEST:
+    if len(sums) < _FEWEST_SAMPLES:
         return None
-    drawn = rng.multinomial(len(sums), np.full(len(sums), 1.0 / len(sums)), size=_ROUNDS)
+    drawn = rng.multinomial(len(sums), np.full(len(sums), 1.0 / len(sums)), size=_BOOTSTRAP_ROUNDS)
     means = (drawn @ sums) / (drawn @ counts)
     low, high = np.quantile(means, (0.025, 0.975))
     return float(low), float(high)

@@ -9,7 +9,7 @@ from typing import Any
 
 import psutil
 
-_LOOK_S = 1.0
+_LOAD_SAMPLE_S = 1.0
 
 
 def machine() -> dict[str, Any]:
@@ -24,7 +24,7 @@ def machine() -> dict[str, Any]:
 
 def busy_cores() -> float:
     """Return how many cores programs keep busy, over the next second; 0 is an idle machine."""
-    return float(psutil.cpu_percent(interval=_LOOK_S)) / 100.0 * (os.cpu_count() or 1)
+    return float(psutil.cpu_percent(interval=_LOAD_SAMPLE_S)) / 100.0 * (os.cpu_count() or 1)
 
 
 def _processor() -> str:

@@ -32,15 +32,15 @@ SWEEP_COUNT = 60
 QUICK_COUNTS = {"random": 60, "own": 20, "user": 20}
 QUICK_SWEEP_COUNT = 10
 
-_PLAIN = ObservationSettings()
-_RANDOM = Recipe(shapes="mixed")
+_PLAIN_OBSERVATION = ObservationSettings()
+_RANDOM_RECIPE = Recipe(shapes="mixed")
 _NOISE_MM = (1, 2, 3)
-_SPARSE = 13
-_KNOWN_RATIO = 0.35
-_POISSON_RATIOS = (0.30, _KNOWN_RATIO, 0.40, 0.45, 0.49)
+_SPARSE_POINTS = 13
+_ASSUMED_POISSON_RATIO = 0.35
+_POISSON_RATIOS = (0.30, _ASSUMED_POISSON_RATIO, 0.40, 0.45, 0.49)
 _WEAK_FORCE_N = (0.0, 0.5)
-_WEAK, _OTHER_LAW, _SEVERAL_LOADS = "neo_hookean_weak", "st_venant_kirchhoff", "three_loads_gravity"
-_THREE_LOADS = replace(_RANDOM, forces=(3, 3), gravity=(0.0, 0.15))
+_WEAK_FORCES, _OTHER_LAW, _SEVERAL_LOADS = "neo_hookean_weak", "st_venant_kirchhoff", "three_loads_gravity"
+_THREE_LOADS_RECIPE = replace(_RANDOM_RECIPE, forces=(3, 3), gravity=(0.0, 0.15))
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class View:
 
     condition: str
     organs: int
-    settings: ObservationSettings = _PLAIN
+    settings: ObservationSettings = _PLAIN_OBSERVATION
 
 
 @dataclass(frozen=True)
@@ -131,12 +131,12 @@ def base_of(condition: str) -> str | None:
     >>> base_of("noise_2mm"), base_of("nu_0.45"), base_of("hidden_load")
     ('noise_0mm', 'nu_0.35', None)
     """
-    if condition in (_nu(_KNOWN_RATIO), SWEEP_BASE, _WEAK):
+    if condition in (_nu(_ASSUMED_POISSON_RATIO), SWEEP_BASE, _WEAK_FORCES):
         return None
     if condition.startswith("nu_"):
-        return _nu(_KNOWN_RATIO)
+        return _nu(_ASSUMED_POISSON_RATIO)
     if condition == _OTHER_LAW:
-        return _WEAK
+        return _WEAK_FORCES
     swept = ("noise_", "sparse_", "outliers_", "attached_", _SEVERAL_LOADS)
     return SWEEP_BASE if condition.startswith(swept) else None
 
@@ -192,22 +192,22 @@ def _random_suite(samples: int, sweeps: int) -> list[DataSet]:
     views = [View("all", samples)]
     views += [View(f"noise_{mm}mm", sweeps, ObservationSettings(noise_m=1e-3 * mm)) for mm in _NOISE_MM]
     views += [
-        View(f"sparse_{_SPARSE}", sweeps, ObservationSettings(sparse=_SPARSE)),
+        View(f"sparse_{_SPARSE_POINTS}", sweeps, ObservationSettings(sparse=_SPARSE_POINTS)),
         View("outliers_10", sweeps, ObservationSettings(outliers=0.10)),
         View("attached_30_less", sweeps, ObservationSettings(attached_share=0.7)),
         View("attached_30_more", sweeps, ObservationSettings(attached_share=1.3)),
     ]
     ratios = tuple((_nu(ratio), Material(poisson_ratio=ratio)) for ratio in _POISSON_RATIOS)
-    laws = ((_WEAK, Material("neo_hookean")), (_OTHER_LAW, Material("st_venant_kirchhoff")))
-    weak = replace(_RANDOM, force_n=_WEAK_FORCE_N)
+    laws = ((_WEAK_FORCES, Material("neo_hookean")), (_OTHER_LAW, Material("st_venant_kirchhoff")))
+    weak = replace(_RANDOM_RECIPE, force_n=_WEAK_FORCE_N)
     return [
-        DataSet("random", RANDOM_SEED, _RANDOM, samples, tuple(views)),
-        DataSet("nu", RANDOM_SEED, _RANDOM, sweeps, (View("nu", sweeps),), ratios),
+        DataSet("random", RANDOM_SEED, _RANDOM_RECIPE, samples, tuple(views)),
+        DataSet("nu", RANDOM_SEED, _RANDOM_RECIPE, sweeps, (View("nu", sweeps),), ratios),
         DataSet("law", RANDOM_SEED, weak, sweeps, (View("law", sweeps),), laws),
         DataSet(
             _SEVERAL_LOADS,
             RANDOM_SEED,
-            _THREE_LOADS,
+            _THREE_LOADS_RECIPE,
             sweeps,
             (View(_SEVERAL_LOADS, sweeps),),
         ),

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from softtissue_training.evaluation.benchmark.cases import SeenOrgan, seen_organs
+from softtissue_training.evaluation.benchmark.cases import ObservedOrgan, observed_organs
 from softtissue_training.evaluation.benchmark.fairness import among_answering
 from softtissue_training.evaluation.benchmark.machine import machine
 from softtissue_training.evaluation.benchmark.markdown import markdown, overview
@@ -66,10 +66,10 @@ def run_benchmark(
     start = time.monotonic()
     make_simulations(plan, out / SIMULATIONS, workers=workers, show_progress=show_progress)
     simulated = time.monotonic()
-    jobs: list[SeenOrgan] = []
+    jobs: list[ObservedOrgan] = []
     described: dict[str, Any] = {}
     for data in plan.data_sets:
-        found, digest = seen_organs(data, out / SIMULATIONS / data.name)
+        found, digest = observed_organs(data, out / SIMULATIONS / data.name)
         jobs += found
         described[data.name] = _described(data, digest)
     results = evaluate(jobs, methods, out / ANSWERS, workers=workers, show_progress=show_progress)
@@ -90,7 +90,7 @@ def run_benchmark(
 
 
 def group_by_condition(
-    plan: Plan, jobs: Sequence[SeenOrgan], results: Sequence[CaseResult]
+    plan: Plan, jobs: Sequence[ObservedOrgan], results: Sequence[CaseResult]
 ) -> dict[str, list[CaseResult]]:
     """Sort results, which come in the jobs' order, by condition; those that are parts of others included."""
     found: defaultdict[str, list[CaseResult]] = defaultdict(list)

@@ -53,8 +53,8 @@ def time_finite_elements(
     organ, volume = coarse_liver(element_size_m)
     scene = BendingOrgan(organ, points, np.random.default_rng(seed))
     config = EstimatorConfig()
-    seen = scene.points(1.5)
-    observation, _ = make_observation(seen, scene.reference, np.full(points, NOISE_M), organ, config)
+    moved = scene.points(1.5)
+    observation, _ = make_observation(moved, scene.reference, np.full(points, NOISE_M), organ, config)
     nodes = volume.nodes
     case = EvaluationCase(
         name="bending organ",

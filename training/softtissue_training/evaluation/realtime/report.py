@@ -14,7 +14,7 @@ FEM_MM = 7.0
 SOAK_S = 100.0
 """Runs that last longer are looked at for growth."""
 
-_PATH = (
+_STREAM_COLUMNS = (
     ("estimator", "estimator"),
     ("points", "points"),
     ("vertices", "structures_vertices"),
@@ -33,6 +33,44 @@ _PATH = (
     ("cores", "cpu_share"),
     ("RSS, MB", "rss_mb"),
     ("GPU, MB", "gpu_memory_mb"),
+)
+_MARKER_COLUMNS = (
+    ("dropped", "dropped"),
+    ("markers p50", "markers_p50_ms"),
+    ("markers p95", "markers_p95_ms"),
+)
+_SOAK_COLUMNS = (
+    ("estimator", "estimator"),
+    ("sent", "sent"),
+    ("answered", "answered"),
+    ("dropped", "dropped"),
+    ("unaccounted", "unaccounted"),
+    ("p95", "p95_ms"),
+    ("max", "max_ms"),
+    ("first quarter p95", "first_quarter_p95_ms"),
+    ("last quarter p95", "last_quarter_p95_ms"),
+    ("max / estimate", "latency_over_estimate"),
+    ("age max / estimate", "age_over_estimate"),
+    ("RSS grown, MB", "rss_growth_mb"),
+)
+_START_COLUMNS = (
+    ("estimator", "estimator"),
+    ("vertices", "structures_vertices"),
+    ("s", "start_to_answer_s"),
+)
+_MESSAGE_COLUMNS = (
+    ("path", "path"),
+    ("size", "size"),
+    ("ours p50", "ours_p50_ms"),
+    ("ours p95", "ours_p95_ms"),
+    ("naive p50", "naive_p50_ms"),
+    ("times as long", "naive_over_ours"),
+)
+_FEM_COLUMNS = (
+    ("elements, mm", "element_size_mm"),
+    ("nodes", "nodes"),
+    ("tetrahedra", "tetrahedra"),
+    ("ms", "p50_ms"),
 )
 
 
@@ -81,107 +119,56 @@ def markdown(summary: Mapping[str, Any]) -> str:
     """Return the figures as tables."""
     machine = summary["machine"]
     gpu = f", {machine['gpu']}" if "gpu" in machine else ""
-    rows = summary["end_to_end"]
-    plain = [row for row in rows if not (row["markers"] or row["services"])]
-    soaks = [row for row in plain if row["seconds"] >= SOAK_S]
+    aims = (
+        [r["what"], r["limit"], _cell(r["measured"]), "yes" if r["met"] else "no"] for r in summary["aims"]
+    )
     parts = [
         f"{machine['processor']}, {machine['cores']} cores{gpu}; {machine['system']}; {summary['date']}. "
         f"Other programs kept {machine['load_before']:g} cores busy when it began.",
         f"```bash\n{summary['command']}\n```",
         "## Aims",
-        _table(
-            ["", "aim", "measured", "met"],
-            (
-                [row["what"], row["limit"], _cell(row["measured"]), "yes" if row["met"] else "no"]
-                for row in summary["aims"]
-            ),
-        ),
-        "## From cloud published to answer received, ms",
-        _table(
-            [title for title, _ in _PATH],
-            ([_cell(row[key]) for _, key in _PATH] for row in plain if row not in soaks),
-        ),
-        "With the markers heard; their own latency behind:",
-        _table(
-            [*(title for title, _ in _PATH[:8]), "dropped", "markers p50", "markers p95"],
-            (
-                [_cell(row.get(key)) for key in [*_keys(8), "dropped", "markers_p50_ms", "markers_p95_ms"]]
-                for row in rows
-                if row["markers"]
-            ),
-        ),
-        *_soak(soaks),
-        "## Parameters and services while the node estimates, ms",
-        _table(["estimator", "points", "Hz", "service", "calls", "p50", "p95", "max"], _services(rows)),
+        _table(["", "aim", "measured", "met"], aims),
+        *_streams(summary["end_to_end"]),
         "## From the start of the node to the first answer, s",
-        _table(
-            ["estimator", "vertices", "s"],
-            (
-                [row["estimator"], str(row["structures_vertices"]), _cell(row["start_to_answer_s"])]
-                for row in summary["starts"]
-            ),
-        ),
+        _figures(_START_COLUMNS, summary["starts"]),
         "## Message paths alone, ms",
-        _table(
-            ["path", "size", "ours p50", "ours p95", "naive p50", "times as long"],
-            (
-                [
-                    _cell(row[key])
-                    for key in (
-                        "path",
-                        "size",
-                        "ours_p50_ms",
-                        "ours_p95_ms",
-                        "naive_p50_ms",
-                        "naive_over_ours",
-                    )
-                ]
-                for row in summary["messages"]
-            ),
-        ),
+        _figures(_MESSAGE_COLUMNS, summary["messages"]),
         "## Stages of an estimate alone, p50 / p95 in ms",
         _stages(summary["stages"]),
         "## Networks alone, ms",
         _networks(summary["networks"]),
         "## Finite elements with the visible displacement prescribed",
-        _table(
-            ["elements, mm", "nodes", "tetrahedra", "ms"],
-            (
-                [_cell(row[key]) for key in ("element_size_mm", "nodes", "tetrahedra", "p50_ms")]
-                for row in summary["fem"]
-            ),
-        ),
+        _figures(_FEM_COLUMNS, summary["fem"]),
         "## Ratios",
         _table(["ratio", ""], ([f"`{name}`", _cell(value)] for name, value in summary["ratios"].items())),
     ]
     return "\n\n".join(parts) + "\n"
 
 
-def _soak(rows: Sequence[Row]) -> list[str]:
-    if not rows:
-        return []
-    columns = (
-        ("estimator", "estimator"),
-        ("sent", "sent"),
-        ("answered", "answered"),
-        ("dropped", "dropped"),
-        ("unaccounted", "unaccounted"),
-        ("p95", "p95_ms"),
-        ("max", "max_ms"),
-        ("first quarter p95", "first_quarter_p95_ms"),
-        ("last quarter p95", "last_quarter_p95_ms"),
-        ("max / estimate", "latency_over_estimate"),
-        ("age max / estimate", "age_over_estimate"),
-        ("RSS grown, MB", "rss_growth_mb"),
-    )
+def _streams(rows: Sequence[Row]) -> list[str]:
+    """Return the tables of all that was measured while the node answers a stream of clouds."""
+    plain = [row for row in rows if not (row["markers"] or row["services"])]
+    soaks = [row for row in plain if row["seconds"] >= SOAK_S]
+    columns = (*_STREAM_COLUMNS[:8], *_MARKER_COLUMNS)
+    heard = ({name: row.get(name) for _, name in columns} for row in rows if row["markers"])
     return [
-        f"## {rows[0]['rate_hz']:g} Hz for {rows[0]['seconds']:g} s, {rows[0]['points']} points, ms",
-        _table([title for title, _ in columns], ([_cell(row[key]) for _, key in columns] for row in rows)),
+        "## From cloud published to answer received, ms",
+        _figures(_STREAM_COLUMNS, [row for row in plain if row not in soaks]),
+        "With the markers heard; their own latency behind:",
+        _figures(columns, heard),
+        *_soak(soaks),
+        "## Parameters and services while the node estimates, ms",
+        _table(["estimator", "points", "Hz", "service", "calls", "p50", "p95", "max"], _services(rows)),
     ]
 
 
-def _keys(count: int) -> list[str]:
-    return [key for _, key in _PATH[:count]]
+def _soak(rows: Sequence[Row]) -> list[str]:
+    if not rows:
+        return []
+    return [
+        f"## {rows[0]['rate_hz']:g} Hz for {rows[0]['seconds']:g} s, {rows[0]['points']} points, ms",
+        _figures(_SOAK_COLUMNS, rows),
+    ]
 
 
 def _services(rows: Iterable[Row]) -> Iterable[list[str]]:
@@ -209,6 +196,12 @@ def _networks(rows: Iterable[Row]) -> str:
         lines.append([*names, *(_cell(row[key]) for key in ("p50_ms", "p95_ms", "difference_mm"))])
     titles = ["network", "runtime", "precision", "threads", "cells", "p50", "p95", "off by, mm"]
     return _table(titles, lines)
+
+
+def _figures(columns: Sequence[tuple[str, str]], rows: Iterable[Row]) -> str:
+    """Return a table of columns, each a title and the figures' name in the rows."""
+    titles = [title for title, _ in columns]
+    return _table(titles, ([_cell(row[name]) for _, name in columns] for row in rows))
 
 
 def _table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

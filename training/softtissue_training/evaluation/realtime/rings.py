@@ -1,4 +1,4 @@
-"""Organs for tests of speed: the bundled liver with structures of a wanted size."""
+"""Organs for tests of speed: the bundled liver with structures of a given size."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from softtissue_estimator.support.resources import bundled_organ
 FloatArray = NDArray[np.float64]
 
 RING_VERTICES = 10_000  # and 20,000 triangles
-_ACROSS = 100
-_THICKNESS = 0.35  # radius of a ring's tube over that of its circle
-_GRID_M = 0.004
-_MARGIN_M = 0.002
-_SMALLEST_M = 0.003
+_VERTICES_ACROSS = 100
+_TUBE_RADIUS_RATIO = 0.35  # radius of a ring's tube over that of its circle
+_GRID_SPACING_M = 0.004
+_RING_MARGIN_M = 0.002
+_LEAST_REACH_M = 0.003
 
 
 def ring_organ(folder: Path, vertices: int, progress: Callable[[str], None]) -> Organ:
@@ -44,7 +44,7 @@ def ring_organ(folder: Path, vertices: int, progress: Callable[[str], None]) -> 
     InvalidInputError
         If no rings of such a number can be made.
     """
-    if vertices < 1000 or vertices % _ACROSS:
+    if vertices < 1000 or vertices % _VERTICES_ACROSS:
         raise InvalidInputError(f"structures: expected a multiple of 100 vertices from 1000, got {vertices}")
     marker = folder / "organ.yaml"
     if not marker.is_file():
@@ -55,7 +55,7 @@ def ring_organ(folder: Path, vertices: int, progress: Callable[[str], None]) -> 
         centres, radius = _places(liver.surface, len(sizes))
         names = []
         for number, (centre, size) in enumerate(zip(centres, sizes, strict=True), start=1):
-            mesh = ring(size // _ACROSS, _ACROSS, radius, _THICKNESS * radius)
+            mesh = ring(size // _VERTICES_ACROSS, _VERTICES_ACROSS, radius, _TUBE_RADIUS_RATIO * radius)
             names.append(f"ring_{number}")
             # In millimetres, as the liver's own file is.
             points = 1e3 * (mesh.vertices + centre)
@@ -85,11 +85,11 @@ def _sizes(vertices: int) -> list[int]:
 def _places(surface: SurfaceMesh, count: int) -> tuple[list[FloatArray], float]:
     """Find centres of spheres of one radius (m) inside a surface, none of which touch."""
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-    axes = [np.arange(a, b, _GRID_M) for a, b in zip(low, high, strict=True)]
+    axes = [np.arange(a, b, _GRID_SPACING_M) for a, b in zip(low, high, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     depth = -signed_distance(surface, points)
     reach = float(depth.max())
-    while reach > _SMALLEST_M:
+    while reach > _LEAST_REACH_M:
         found: list[FloatArray] = []
         free = depth >= reach
         while free.any() and len(found) < count:
@@ -97,7 +97,7 @@ def _places(surface: SurfaceMesh, count: int) -> tuple[list[FloatArray], float]:
             found.append(centre)
             free &= np.linalg.norm(points - centre, axis=1) >= 2.0 * reach
         if len(found) == count:
-            return found, (reach - _MARGIN_M) / (1.0 + _THICKNESS)
+            return found, (reach - _RING_MARGIN_M) / (1.0 + _TUBE_RADIUS_RATIO)
         reach *= 0.9
     raise InvalidInputError(f"structures: expected room for {count} rings inside the organ, got less")
 

@@ -26,7 +26,7 @@ from softtissue_training.evaluation.timing import TimingPlan, measure
 Progress = Callable[[str], None]
 Part = dict[str, Any]
 
-_BUSY = 0.3  # cores
+_BUSY_CORES = 0.3  # from which on another program is at work
 _ALONE_FRAMES = 5  # the elastic estimator takes seconds for one
 
 
@@ -52,7 +52,7 @@ def run_realtime(plan: RealtimePlan, folder: Path, progress: Progress) -> dict[s
         raise InvalidInputError("device cuda: expected an NVIDIA GPU on this machine, got none")
     find_latency_tool()
     load = busy_cores()
-    if load > _BUSY:
+    if load > _BUSY_CORES:
         progress(f"other programs keep {load:.1f} cores busy: every figure will be worse than it should be")
     organs = {count: folder / f"organ_{count}" for count in plan.vertices}
     for count, path in organs.items():

@@ -1,1 +1,1 @@
-"""The paper's breathing experiment: an organ in two states of breath, less and less of it seen, and its vessels."""
+"""The paper's breathing experiment: an organ in two states of breath, less and less of it visible, and its vessels."""

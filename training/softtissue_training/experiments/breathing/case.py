@@ -30,7 +30,7 @@ ALIGNMENTS = ("icp", "none")
 INSIDE, SURFACE = "inside", "surface"
 """Names of the parts of a truth that are not structures."""
 _KEYS = ("name", "unit", "system", "anterior", "surface_after", "structures_after", "alignment", "truth")
-_LARGEST_CHANGE = 2.0  # of the volume, by breathing and by segmenting differently
+_LARGEST_VOLUME_RATIO = 2.0  # of the volume, by breathing and by segmenting differently
 _FRONT_LPS = np.array([[0.0, -1.0, 0.0]])
 
 
@@ -145,7 +145,7 @@ def _structures(entries: Entries, organ: Organ, unit_m: float) -> dict[str, Surf
 
 def _check_volume(entries: Entries, surface: SurfaceMesh, organ: Organ, unit: str) -> None:
     before, after = enclosed_volume(organ.surface), enclosed_volume(surface)
-    if not 1.0 / _LARGEST_CHANGE <= after / before <= _LARGEST_CHANGE:
+    if not 1.0 / _LARGEST_VOLUME_RATIO <= after / before <= _LARGEST_VOLUME_RATIO:
         raise InvalidInputError(
             f"{entries.where('surface_after')}: expected about the {1e6 * before:.0f} ml of the preoperative organ, "
             f"got {1e6 * after:.3g} ml with unit {unit}; another unit or another organ?"

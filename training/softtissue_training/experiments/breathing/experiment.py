@@ -111,7 +111,7 @@ class BreathingRun:
 
 @dataclass(frozen=True, eq=False)
 class _PlaneJob:
-    """What is seen in front of one position of the plane; sent to worker processes."""
+    """What is visible in front of one position of the plane; sent to worker processes."""
 
     organ: Organ
     cut: Cut

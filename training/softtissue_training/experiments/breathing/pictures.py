@@ -1,4 +1,4 @@
-"""Pictures of the breathing experiment: vessels inside the translucent organ, and errors as less and less is seen."""
+"""Pictures of the breathing experiment: vessels inside the glassy organ, and errors as the visible part shrinks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _ORGAN_COLOUR = np.array([0.82, 0.45, 0.38])
 _VISIBLE_COLOUR = np.array([0.16, 0.66, 0.42])
 _TRUE_COLOUR = np.array([0.93, 0.87, 0.30])
 _ESTIMATED_COLOUR = np.array([0.22, 0.33, 0.85])
-_COLUMNS = 3
+_PANEL_COLUMNS = 3
 
 
 def draw_vessels(run: BreathingRun, tracked: TrackedRun, step: int) -> Figure:
@@ -47,17 +47,17 @@ def draw_vessels(run: BreathingRun, tracked: TrackedRun, step: int) -> Figure:
     case, question = run.case, tracked.question
     surface = SurfaceMesh(tracked.tracked.motion.apply(case.surface.vertices), case.surface.faces)
     camera = _camera(case.anterior, surface, case.organ.surface)
-    seen = np.zeros(len(case.organ.surface.vertices))
-    seen[case.organ.surface.faces[run.cuts[step].faces]] = 1.0
+    visible = np.zeros(len(case.organ.surface.vertices))
+    visible[case.organ.surface.faces[run.cuts[step].faces]] = 1.0
     # The registration may have found another frame than the rigid alignment.
     before = make_question(case, run.alignment.motion)
-    panels = [("rigid alignment alone", _glass(case.organ.surface, camera, seen), before, before.before)]
+    panels = [("rigid alignment alone", _glass(case.organ.surface, camera, visible), before, before.before)]
     for label, steps in tracked.steps.items():
         displacement = steps[step].displacement
         if displacement is not None and label != "zero":
             panels.append((label, _glass(surface, camera), question, question.deformed(displacement)))
-    rows = -(-len(panels) // _COLUMNS)
-    figure = Figure(figsize=(4.4 * _COLUMNS, 3.6 * rows + 0.5), dpi=_DPI, layout="constrained")
+    rows = -(-len(panels) // _PANEL_COLUMNS)
+    figure = Figure(figsize=(4.4 * _PANEL_COLUMNS, 3.6 * rows + 0.5), dpi=_DPI, layout="constrained")
     for index, (title, glass, asked, estimated) in enumerate(panels):
         found = [asked.after[name] for name in asked.vessels]
         solid = draw_solid(
@@ -65,7 +65,7 @@ def draw_vessels(run: BreathingRun, tracked: TrackedRun, step: int) -> Figure:
             [_TRUE_COLOUR] * len(found) + [_ESTIMATED_COLOUR] * len(found),
             camera,
         )
-        _show(figure.add_subplot(rows, _COLUMNS, index + 1), behind_glass(glass, solid), title)
+        _show(figure.add_subplot(rows, _PANEL_COLUMNS, index + 1), behind_glass(glass, solid), title)
     colours = {
         "vessels in the other scan": _TRUE_COLOUR,
         "vessels as estimated": _ESTIMATED_COLOUR,
@@ -124,9 +124,9 @@ def _camera(anterior: Array, *surfaces: SurfaceMesh) -> Camera:
     return look_from(anterior, up, points, _PANEL)
 
 
-def _glass(surface: SurfaceMesh, camera: Camera, seen: Array | None = None) -> Array:
-    """Draw the near side of a surface as if of glass; `seen` (n,) is 1 for vertices to be coloured as visible."""
-    flags = np.zeros((len(surface.vertices), 1)) if seen is None else seen[:, None]
+def _glass(surface: SurfaceMesh, camera: Camera, visible: Array | None = None) -> Array:
+    """Draw the near side of a surface as if of glass; `visible` (n,) is 1 for vertices to be coloured as visible."""
+    flags = np.zeros((len(surface.vertices), 1)) if visible is None else visible[:, None]
     near = rasterise_triangles(surface, camera, flags)
     colour = _ORGAN_COLOUR * (1.0 - near.values) + _VISIBLE_COLOUR * near.values
     alpha = 0.22 + 0.5 * (1.0 - np.abs(near.normal[..., 2])) ** 2

@@ -1,4 +1,4 @@
-"""What is seen of a surface in front of a plane that moves from the back to the front (paper, experiment 3)."""
+"""What is visible of a surface in front of a plane that moves from the back to the front (paper, experiment 3)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Cut:
     position
         Of the plane, from 0 (behind everything) to 1 (in front of everything).
     faces
-        (m,) true for the faces that are seen.
+        (m,) true for the faces that are visible.
     visible_share
         Their share of the surface's area, 0 to 1.
     """
@@ -34,9 +34,9 @@ class Cut:
 
 
 def plane_cuts(surface: SurfaceMesh, anterior: FloatArray, steps: int = 10) -> list[Cut]:
-    """Move a plane through the organ in equal steps; all of the surface is seen first, then less and less.
+    """Move a plane through the organ in equal steps; all of the surface is visible first, then less and less.
 
-    A face is seen if its centroid lies in front of the plane.
+    A face is visible if its centroid lies in front of the plane.
 
     Parameters
     ----------
@@ -65,6 +65,6 @@ def plane_cuts(surface: SurfaceMesh, anterior: FloatArray, steps: int = 10) -> l
     areas = face_areas(surface)
     cuts = []
     for position in np.arange(steps) / steps:
-        seen = of_face >= back + position * (front - back)
-        cuts.append(Cut(float(position), seen, float(areas[seen].sum() / areas.sum())))
+        visible = of_face >= back + position * (front - back)
+        cuts.append(Cut(float(position), visible, float(areas[visible].sum() / areas.sum())))
     return cuts

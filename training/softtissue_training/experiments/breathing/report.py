@@ -27,7 +27,7 @@ def make_report(run: BreathingRun, command: str) -> Report:
         Section("The case", _about(run)),
         Section("Result, mean over all positions of the plane", (_how(run),), tables),
         Section(
-            "As less and less is seen",
+            "As less and less is visible",
             pictures=[
                 Picture("error_by_visible_share", draw_steps(run), "Errors by visible share of the surface.")
             ],

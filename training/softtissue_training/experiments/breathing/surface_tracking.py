@@ -24,9 +24,10 @@ Progress = Callable[[str], None]
 
 _LEAST_SIGMA_M = 0.0005
 _SEGMENTATION_SIGMA_M = 0.001  # of a surface in a scan
-_NEIGHBOURS = 30
+_SPLINE_NEIGHBOURS = 30
 _ALIGNED_POINTS = 2000
-_WIDER_THAN_APART, _LEAST_START_M = 5.0, 0.005
+_START_SIGMA_RATIO = 5.0  # over the distance that the rigid alignment left
+_LEAST_START_SIGMA_M = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +72,7 @@ def by_point_drift(case: BreathingCase, motion: RigidMotion, progress: Progress)
     moving, fixed = case.organ.surface.vertices, motion.apply(case.surface.vertices)
     squared = igl.point_mesh_squared_distance(fixed, moving, case.organ.surface.faces)[0]
     apart = float(np.sqrt(np.maximum(np.asarray(squared), 0.0).mean()))
-    start = max(_WIDER_THAN_APART * apart, _LEAST_START_M)
+    start = max(_START_SIGMA_RATIO * apart, _LEAST_START_SIGMA_M)
     drift = coherent_point_drift(moving, fixed, DriftSettings(start_sigma_m=start))
     sigma = np.full(len(moving), max(drift.sigma_m, _LEAST_SIGMA_M))
     return Tracked(motion, drift.displacement, sigma)
@@ -126,7 +127,7 @@ def true_surface(case: BreathingCase, motion: RigidMotion) -> FloatArray:
         )
     of_surface = truth.part == SURFACE
     before, after = truth.before[of_surface], motion.apply(truth.after[of_surface])
-    spline = RBFInterpolator(before, after - before, neighbors=_NEIGHBOURS, kernel="linear", degree=0)
+    spline = RBFInterpolator(before, after - before, neighbors=_SPLINE_NEIGHBOURS, kernel="linear", degree=0)
     return np.asarray(spline(case.organ.surface.vertices), dtype=np.float64)
 
 

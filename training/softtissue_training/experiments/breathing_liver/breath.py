@@ -33,10 +33,10 @@ BoolArray = NDArray[np.bool_]
 
 CAVA_REACH_M = 0.005
 """Surface closer than this to the vena cava is attached to it."""
-_DENSITY = 1060.0  # kg/m^3
-_STANDARD_GRAVITY = 9.81
-_DIAPHRAGM_FACES = np.array([0.0, -0.2, 1.0]) / np.linalg.norm([0.0, -0.2, 1.0])
-_LIGAMENT_X = (0.028, 0.044)  # m, the strip between the lobes where the falciform ligament begins
+_DENSITY_KG_M3 = 1060.0
+_STANDARD_GRAVITY_M_S2 = 9.81
+_DIAPHRAGM_DIRECTION = np.array([0.0, -0.2, 1.0]) / np.linalg.norm([0.0, -0.2, 1.0])
+_LIGAMENT_X_M = (0.028, 0.044)  # the strip between the lobes where the falciform ligament begins
 
 
 @dataclass(frozen=True)
@@ -124,8 +124,8 @@ def surroundings(mesh: QuadraticMesh, anatomy: Anatomy, spec: BreathingSpec) -> 
     """Work out what surrounds the body at rest."""
     normal, area = _face_normals(mesh)
     middle = mesh.nodes[mesh.face_midsides].mean(axis=1)
-    diaphragm = _smooth_step((normal @ _DIAPHRAGM_FACES - 0.25) / 0.25)
-    strip = (middle[:, 0] > _LIGAMENT_X[0]) & (middle[:, 0] < _LIGAMENT_X[1]) & (normal[:, 1] < -0.2)
+    diaphragm = _smooth_step((normal @ _DIAPHRAGM_DIRECTION - 0.25) / 0.25)
+    strip = (middle[:, 0] > _LIGAMENT_X_M[0]) & (middle[:, 0] < _LIGAMENT_X_M[1]) & (normal[:, 1] < -0.2)
     across = normal[:, :, None] * normal[:, None, :]
     # Gallbladder, stomach, colon, kidney and abdominal wall where there is no diaphragm.
     everyway = spec.bed_pa_m * (1.0 - diaphragm) + spec.ligament_pa_m * strip
@@ -137,7 +137,7 @@ def surroundings(mesh: QuadraticMesh, anatomy: Anatomy, spec: BreathingSpec) -> 
     return Surroundings(
         attached,
         _to_nodes(mesh, area[:, None, None] * per_area),
-        _weight(mesh, np.array([0.0, spec.gravity * _DENSITY * _STANDARD_GRAVITY, 0.0])),
+        _weight(mesh, np.array([0.0, spec.gravity * _DENSITY_KG_M3 * _STANDARD_GRAVITY_M_S2, 0.0])),
         _to_nodes(mesh, area[:, None] * pulled),
     )
 

@@ -24,8 +24,8 @@ from softtissue_training.phantom.vessels import interior_points
 FloatArray = NDArray[np.float64]
 
 NAME = "Breathing liver"
-_MM = 1e3
-_INNER_DEPTH = 0.004
+_MM_PER_M = 1e3
+_INNER_DEPTH_M = 0.004
 _STRUCTURE_STRIDE = 3  # of a structure's vertices, one in so many has its true displacement written
 
 
@@ -67,7 +67,7 @@ def build_case(
 def describe(made: BreathingLiver, spec: BreathingSpec) -> str:
     """Report a breathing liver's measures, a line each, in millimetres, millilitres and per cent."""
     surface = made.anatomy.surface
-    size = _MM * np.ptp(surface.vertices, axis=0)
+    size = _MM_PER_M * np.ptp(surface.vertices, axis=0)
     lines = [
         f"organ: {1e6 * enclosed_volume(surface):.0f} ml, {size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} mm, "
         f"{1e4 * vertex_areas(surface).sum():.0f} cm^2",
@@ -76,7 +76,7 @@ def describe(made: BreathingLiver, spec: BreathingSpec) -> str:
         f"residual {max(state.residual for state in made.breath.equilibria):.1e}",
     ]
     for part, displacement in made.truth.items():
-        moved = _MM * np.linalg.norm(displacement, axis=1)
+        moved = _MM_PER_M * np.linalg.norm(displacement, axis=1)
         lines.append(
             f"{part}: {len(moved)} points move {moved.mean():.1f} mm on average, {moved.max():.1f} at most"
         )
@@ -93,13 +93,13 @@ def _scan(
 ) -> dict[str, SurfaceMesh]:
     """Segment the organ and its parts where `place` takes points of the body at rest."""
 
-    def seen(mesh: SurfaceMesh, spacing: float, error: float) -> SurfaceMesh:
+    def scanned(mesh: SurfaceMesh, spacing: float, error: float) -> SurfaceMesh:
         moved = SurfaceMesh(place(mesh.vertices), mesh.faces)
         return segment(moved, spacing, error, spec.error_length, rng)
 
-    found = {"liver": seen(anatomy.surface, spec.organ_spacing, spec.organ_error)}
+    found = {"liver": scanned(anatomy.surface, spec.organ_spacing, spec.organ_error)}
     for part in anatomy.parts:
-        found[part.name] = seen(part.mesh, spec.vessel_spacing, spec.vessel_error)
+        found[part.name] = scanned(part.mesh, spec.vessel_spacing, spec.vessel_error)
     return found
 
 
@@ -122,7 +122,7 @@ def _organ_file(parts: tuple[Part, ...]) -> dict[str, object]:
             {"name": p.name, "kind": p.kind, "mesh": _file(p.name, "exhaled"), "colour": list(p.colour)}
             for p in parts
         ],
-        "attached": {"touching": {"mesh": "vena_cava.ply", "distance": _MM * CAVA_REACH_M}},
+        "attached": {"touching": {"mesh": "vena_cava.ply", "distance": _MM_PER_M * CAVA_REACH_M}},
     }
 
 
@@ -150,15 +150,17 @@ def _write_truth(
 ) -> dict[str, FloatArray]:
     """Write where points were and are, mm in the two scans' frames; return displacements without the pose, m."""
     groups = {
-        "inside": interior_points(anatomy.shape, anatomy.shape.box, _INNER_DEPTH, spec.inner_points, rng),
+        "inside": interior_points(anatomy.shape, anatomy.shape.box, _INNER_DEPTH_M, spec.inner_points, rng),
         "surface": anatomy.surface.vertices,
         **{part.name: part.mesh.vertices[::_STRUCTURE_STRIDE] for part in anatomy.parts},
     }
     states = {part: breath.states(points) for part, points in groups.items()}
     np.savez_compressed(
         path,
-        before=np.concatenate([_MM * before for before, _ in states.values()]).astype(np.float32),
-        after=np.concatenate([_MM * pose.apply(after) for _, after in states.values()]).astype(np.float32),
+        before=np.concatenate([_MM_PER_M * before for before, _ in states.values()]).astype(np.float32),
+        after=np.concatenate([_MM_PER_M * pose.apply(after) for _, after in states.values()]).astype(
+            np.float32
+        ),
         part=np.concatenate([np.full(len(points), part) for part, points in groups.items()]),
     )
     return {part: after - before for part, (before, after) in states.items()}
@@ -166,7 +168,7 @@ def _write_truth(
 
 def _write_ply(mesh: SurfaceMesh, path: Path) -> None:
     """Write binary PLY in millimetres, single precision."""
-    exported = trimesh.Trimesh(_MM * mesh.vertices, mesh.faces, process=False)
+    exported = trimesh.Trimesh(_MM_PER_M * mesh.vertices, mesh.faces, process=False)
     with path.open("wb") as stream:
         exported.export(file_obj=stream, file_type="ply", vertex_normal=False)
 

@@ -23,22 +23,22 @@ from softtissue_training.phantom.vessels import grow_tree, interior_points
 
 Array = NDArray[np.float64]
 
-_LOBES = np.array([[0.94, 1.0, 1.04], [0.96, 1.0, 1.06], [1.0, 1.05, 1.0], [1.18, 1.15, 1.05]])
+_LOBE_RADII_RATIOS = np.array([[0.94, 1.0, 1.04], [0.96, 1.0, 1.06], [1.0, 1.05, 1.0], [1.18, 1.15, 1.05]])
 _STRETCH = np.array([0.97, 1.06, 0.94])
-_TWIST = 1.6  # rad/m about the body's long axis
-_BUMPS = 0.0028
+_TWIST_RAD_PER_M = 1.6  # about the body's long axis
+_WAVE_HEIGHT_M = 0.0028
 
 # In the family's own space, m: the groove of the vena cava, and ways along which the vessels enter.
 _CAVA = (np.array([0.010, 0.054, -0.045]), np.array([0.008, 0.046, 0.080]), 0.0145)
 _PORTAL_ENTRY = (np.array([0.010, 0.060, -0.026]), np.array([-0.008, 0.0, 0.012]))
 _HEPATIC_ENTRY = (np.array([0.012, 0.060, 0.056]), np.array([0.0, 0.008, 0.038]))
-_VESSEL_DEPTH = 0.010
-_VESSEL_END_RADIUS = 0.0021
-_VESSEL_GAP = 0.008
+_VESSEL_DEPTH_M = 0.010
+_VESSEL_END_RADIUS_M = 0.0021
+_VESSEL_GAP_M = 0.008
 _VESSEL_CANDIDATES = 700
-_TUMOUR_RADIUS = 0.013
-_TUMOUR_DEPTH = 0.025
-_TUMOUR_GAP = 0.002
+_TUMOUR_RADIUS_M = 0.013
+_TUMOUR_DEPTH_M = 0.025
+_TUMOUR_GAP_M = 0.002
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class StretchedLiver:
 
     def __call__(self, points: Points) -> Values:
         """Return roughly the signed distance (m) of points ``(n, 3)`` (m), positive outside."""
-        return self.liver(_turned(points, -_TWIST) / _STRETCH)
+        return self.liver(_turned(points, -_TWIST_RAD_PER_M) / _STRETCH)
 
     @property
     def box(self) -> tuple[Array, Array]:
@@ -83,7 +83,7 @@ class Anatomy:
 
 def placed_points(points: Points) -> Array:
     """Take points ``(n, 3)`` m from the family's space to the body."""
-    return _turned(points * _STRETCH, _TWIST)
+    return _turned(points * _STRETCH, _TWIST_RAD_PER_M)
 
 
 def build_anatomy(
@@ -98,22 +98,24 @@ def build_anatomy(
     """
     progress("organ surface")
     drawn = random_liver(rng)
-    shape = StretchedLiver(replace(drawn, lobe_radii=drawn.lobe_radii * _LOBES, wave_height=_BUMPS))
+    shape = StretchedLiver(
+        replace(drawn, lobe_radii=drawn.lobe_radii * _LOBE_RADII_RATIOS, wave_height=_WAVE_HEIGHT_M)
+    )
     surface = isosurface(shape, *shape.box, spec.organ_spacing)
     progress("vessels")
-    candidates = interior_points(shape, shape.box, _VESSEL_DEPTH, _VESSEL_CANDIDATES, rng)
+    candidates = interior_points(shape, shape.box, _VESSEL_DEPTH_M, _VESSEL_CANDIDATES, rng)
     root = enter_organ(shape, placed_points(straight_way(*_PORTAL_ENTRY)))
-    portal = grow_tree(shape, root, spec.portal_ends, candidates, _VESSEL_END_RADIUS)
+    portal = grow_tree(shape, root, spec.portal_ends, candidates, _VESSEL_END_RADIUS_M)
     candidates = interior_points(
-        shape, shape.box, _VESSEL_DEPTH, _VESSEL_CANDIDATES, rng, free=lambda p: portal(p) > _VESSEL_GAP
+        shape, shape.box, _VESSEL_DEPTH_M, _VESSEL_CANDIDATES, rng, free=lambda p: portal(p) > _VESSEL_GAP_M
     )
     root = enter_organ(shape, placed_points(straight_way(*_HEPATIC_ENTRY)))
-    hepatic = grow_tree(shape, root, spec.hepatic_ends, candidates, _VESSEL_END_RADIUS)
+    hepatic = grow_tree(shape, root, spec.hepatic_ends, candidates, _VESSEL_END_RADIUS_M)
     portal_mesh = isosurface(portal, *portal.box, spec.vessel_spacing, rounds=8)
     hepatic_mesh = isosurface(hepatic, *hepatic.box, spec.vessel_spacing, rounds=8)
-    room = interior_points(shape, shape.box, _TUMOUR_DEPTH, 2000, rng)
+    room = interior_points(shape, shape.box, _TUMOUR_DEPTH_M, 2000, rng)
     tumour = place_tumour(
-        room, (portal_mesh.vertices, hepatic_mesh.vertices), _TUMOUR_RADIUS, _TUMOUR_GAP, rng
+        room, (portal_mesh.vertices, hepatic_mesh.vertices), _TUMOUR_RADIUS_M, _TUMOUR_GAP_M, rng
     )
     parts = (
         Part("portal vein", "vessel", portal_mesh, (0.25, 0.35, 0.85)),

@@ -13,7 +13,7 @@ from softtissue_training.phantom.isosurface import isosurface
 FloatArray = NDArray[np.float64]
 
 _VOXELS_PER_EDGE = 2.0
-_ROOM = 4  # voxels beside the surface
+_MARGIN_VOXELS = 4  # beside the surface
 _EXACT_VOXELS = 4.0
 
 
@@ -22,7 +22,7 @@ def segment(
 ) -> SurfaceMesh:
     """Return the surface that a segmentation finds of a body, with triangles of its own.
 
-    The signed distance is sampled on voxels of half the wanted edge length; an error is added that is normally
+    The signed distance is sampled on voxels of half the target edge length; an error is added that is normally
     distributed at every place and changes smoothly.
 
     Parameters
@@ -30,7 +30,7 @@ def segment(
     mesh
         True surface, m; closed.
     spacing_m
-        Wanted edge length, m.
+        Target edge length, m.
     error_m
         Standard deviation of the error, m.
     length_m
@@ -42,8 +42,8 @@ def segment(
         If no closed surface is found.
     """
     voxel = spacing_m / _VOXELS_PER_EDGE
-    lower = mesh.vertices.min(axis=0) - _ROOM * voxel
-    shape = np.ceil((np.ptp(mesh.vertices, axis=0)) / voxel).astype(int) + 2 * _ROOM + 1
+    lower = mesh.vertices.min(axis=0) - _MARGIN_VOXELS * voxel
+    shape = np.ceil((np.ptp(mesh.vertices, axis=0)) / voxel).astype(int) + 2 * _MARGIN_VOXELS + 1
     values = _sampled_distance(mesh, lower, tuple(shape), voxel)
     values = values + error_m * _smooth_noise(tuple(shape), length_m / voxel, rng)
     coefficients = spline_filter(values, mode="nearest")

@@ -27,12 +27,12 @@ from softtissue_training.experiments.point_lists import read_points
 
 FloatArray = NDArray[np.float64]
 
-_OUTSIDE_M = 0.005  # a marker's own size and the surface's error
+_MOST_OUTSIDE_M = 0.005  # a marker's own size and the surface's error
 _SURFACE_SPACING_M, _SURFACE_POINTS = 0.004, 2000
 
 
 @dataclass(frozen=True, eq=False)
-class SeenSurface:
+class ObservedSurface:
     """Points of the organ's surface after the deformation.
 
     Attributes
@@ -88,7 +88,7 @@ class PhantomCase:
     sigma_m: float
     correspondences: PairedPoints | None = None
     spread_share: float | None = None
-    surface_after: SeenSurface | None = None
+    surface_after: ObservedSurface | None = None
     sparse: int | None = None
     tracking_noise_m: float = 0.0
     truth: Truth | None = None
@@ -125,14 +125,14 @@ def load_phantom_case(folder: Path) -> PhantomCase:
     )
 
 
-def points_of_surface(mesh: SurfaceMesh, faces: NDArray[np.bool_] | None = None) -> SeenSurface:
+def points_of_surface(mesh: SurfaceMesh, faces: NDArray[np.bool_] | None = None) -> ObservedSurface:
     """Cover faces (m,) of a surface, or all of it, with at most 2000 points, about 4 mm apart, and their normals."""
     points, face, _ = sample_faces(mesh, faces, _SURFACE_SPACING_M)
     chosen = spread_points(points, _SURFACE_POINTS)
     corners = mesh.triangles[face[chosen]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    return SeenSurface(points[chosen], normals)
+    return ObservedSurface(points[chosen], normals)
 
 
 def _read_pairs(source: Pairs, file: CaseFile, what: str) -> PairedPoints:
@@ -141,14 +141,14 @@ def _read_pairs(source: Pairs, file: CaseFile, what: str) -> PairedPoints:
     return read_table_of_pairs(source, file.unit_m, file.system, what)
 
 
-def _read_surface(path: Path, file: CaseFile) -> SeenSurface:
+def _read_surface(path: Path, file: CaseFile) -> ObservedSurface:
     if path.suffix.lower() == ".csv":
         if file.visible is not None:
             raise InvalidInputError(
                 f"visible: expected a mesh as surface_after, of which a part can be taken, got points {path}"
             )
         points = read_points(path, file.unit_m, file.system).points
-        return SeenSurface(points[spread_points(points, _SURFACE_POINTS)])
+        return ObservedSurface(points[spread_points(points, _SURFACE_POINTS)])
     mesh = read_mesh(path, file.unit_m).mesh
     if file.visible is None:
         return points_of_surface(mesh)
@@ -159,7 +159,7 @@ def _read_surface(path: Path, file: CaseFile) -> SeenSurface:
 
 def _check_inside(markers: PairedPoints, organ: Organ) -> None:
     outside = signed_distance(organ.surface, markers.before)
-    if outside.max() <= _OUTSIDE_M:
+    if outside.max() <= _MOST_OUTSIDE_M:
         return
     worst = int(outside.argmax())
     raise InvalidInputError(

@@ -11,7 +11,7 @@ from softtissue_training.experiments.phantom.experiment import PhantomRun
 from softtissue_training.phantom.bag import BagWriter
 
 FRAMES, RATE_HZ = 50, 5.0
-_SEED = 0
+_NOISE_SEED = 0
 
 
 def write_case_bag(folder: Path, run: PhantomRun, frames: int = FRAMES) -> str:
@@ -26,23 +26,23 @@ def write_case_bag(folder: Path, run: PhantomRun, frames: int = FRAMES) -> str:
     InvalidInputError
         The folder exists and is not a bag, which would be lost.
     """
-    case, seen = run.case, run.variants[0].observation
-    noise = np.random.default_rng(_SEED)
-    alike = bool(np.ptp(seen.sigma) <= 1e-9)
+    case, observation = run.case, run.variants[0].observation
+    noise = np.random.default_rng(_NOISE_SEED)
+    alike = bool(np.ptp(observation.sigma) <= 1e-9)
     frame = case.organ.frame
     with BagWriter(folder, frame, frame) as writer:
         for number in range(frames):
             time = (number + 1) / RATE_HZ
-            points = seen.reference + seen.displacement
+            points = observation.reference + observation.displacement
             if case.tracking_noise_m > 0.0:
                 points = points + noise.normal(0.0, case.tracking_noise_m, points.shape)
             if not alike:
-                writer.correspondences(seen.reference, seen.sigma, time)
-            writer.cloud(points, seen.reference if alike else None, time)
+                writer.correspondences(observation.reference, observation.sigma, time)
+            writer.cloud(points, observation.reference if alike else None, time)
             writer.markers(case.markers.after, case.markers.before, time)
             if case.truth is not None and number == 0:
                 writer.organ(case.truth.positions, time)
-    sigma = float(seen.sigma[0])
+    sigma = float(observation.sigma[0])
     arguments = ["--bag", str(folder.resolve()), "--organ", str((case.organ.folder or Path()).resolve())]
     arguments += ["--estimator", "elastic", "--parameter", "tracking:=false"]
     arguments += ["--parameter", f"default_sigma_m:={sigma:.6g}"] if alike else []

@@ -15,7 +15,7 @@ from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.support.resources import bundled_bag, bundled_organ
 from softtissue_training.experiments.paired_points import PairedPoints
-from softtissue_training.experiments.phantom.case import PhantomCase, SeenSurface, Truth
+from softtissue_training.experiments.phantom.case import ObservedSurface, PhantomCase, Truth
 from softtissue_training.phantom.bag import (
     MARKERS_TOPIC,
     ORGAN_TOPIC,
@@ -41,16 +41,16 @@ def own_phantom_case() -> PhantomCase:
     clouds, registration = _read(bundled_bag())
     markers = clouds[MARKERS_TOPIC]
     peak = max(clouds[ORGAN_TOPIC].keys() & markers.keys(), key=lambda stamp: _moved(markers[stamp]))
-    seen, marker = clouds[POINTS_TOPIC][peak], markers[peak]
-    points = registration.undo(seen[:, :3])
+    observed, marker = clouds[POINTS_TOPIC][peak], markers[peak]
+    points = registration.undo(observed[:, :3])
     return PhantomCase(
         name="bundled phantom",
         organ=load_organ(bundled_organ()),
         markers=PairedPoints(_numbers(len(marker)), marker[:, 3:], marker[:, :3]),
         sigma_m=PhantomSpec().noise,
-        correspondences=PairedPoints(_numbers(len(points)), seen[:, 3:], points),
+        correspondences=PairedPoints(_numbers(len(points)), observed[:, 3:], points),
         spread_share=SPREAD_SHARE,
-        surface_after=SeenSurface(points),
+        surface_after=ObservedSurface(points),
         sparse=SPARSE,
         truth=Truth(clouds[ORGAN_TOPIC][peak]),
     )

@@ -92,11 +92,11 @@ def draw_organ(run: PhantomRun, variant: Variant, answer: Answer) -> bytes:
         raise InvalidInputError(f"picture: expected an answer of {answer.label}, got none ({answer.failure})")
     estimated = run.asked + answer.reading.displacement
     markers = Markers(case.markers.before, estimated[:count], case.markers.after)
-    seen = variant.observation
+    observation = variant.observation
     scene = Scene(
         organ=case.organ,
-        reference=seen.reference,
-        observed=seen.reference + seen.displacement,
+        reference=observation.reference,
+        observed=observation.reference + observation.displacement,
         estimated=estimated[count:],
         true=None if case.truth is None else case.truth.positions,
         markers=markers,

@@ -17,7 +17,7 @@ from softtissue_training.experiments.phantom.experiment import (
 from softtissue_training.experiments.phantom.pictures import draw_markers, draw_organ, draw_summary
 from softtissue_training.experiments.phantom.variants import OWN_ANSWER, Progress, Variant
 
-_PICTURED = (OWN_ANSWER, "elastic", "hybrid", "paper", "rbf", "rigid", "zero")
+_PICTURED_FIRST = (OWN_ANSWER, "elastic", "hybrid", "paper", "rbf", "rigid", "zero")
 """The first of these that has answered is drawn."""
 
 
@@ -77,7 +77,7 @@ def _section(run: PhantomRun, variant: Variant, answers: list[Answer]) -> Sectio
         Picture(f"{variant.key}_markers", draw_markers(run, variant, answers), "Error of every marker.")
     ]
     by_label = {answer.label: answer for answer in answers if answer.reading is not None}
-    drawn = next((by_label[label] for label in [*_PICTURED, *by_label] if label in by_label), None)
+    drawn = next((by_label[label] for label in [*_PICTURED_FIRST, *by_label] if label in by_label), None)
     if drawn is not None:
         picture = draw_organ(run, variant, drawn)
         pictures.insert(0, Picture(f"{variant.key}_organ", picture, f"As estimated by {drawn.label}."))

@@ -39,11 +39,11 @@ FloatArray = NDArray[np.float64]
 
 MATERIAL = Material("neo_hookean", 3000.0, 0.45)
 CORRESPONDENCES, MARKERS = 13, 6
-_SEEN_SPACING_M, _SEEN_POINTS, _MARKER_DEPTH_M, _LEAST_MOVED_M = 0.004, 1200, 0.010, 0.005
+_OBSERVED_SPACING_M, _OBSERVED_POINTS, _MARKER_DEPTH_M, _LEAST_MOVED_M = 0.004, 1200, 0.010, 0.005
 _FIRST_FORCE_N = 0.2
-_SOLUTIONS = 12
-_BESIDE_M = 0.04  # from the middle of the pushed patch to that of the visible one
-_THICK_M = 0.02  # of organ below the pushed patch
+_MOST_SOLUTIONS = 12
+_PATCH_DISTANCE_M = 0.04  # from the middle of the pushed patch to that of the visible one
+_LEAST_THICKNESS_M = 0.02  # of organ below the pushed patch
 
 
 @dataclass(frozen=True)
@@ -59,9 +59,9 @@ class PushSettings:
     largest_m
         How far the organ is pushed where it moves most, m.
     visible_share
-        Share of the surface that is seen, beside the pushed patch.
+        Share of the surface that is visible, beside the pushed patch.
     noise_m
-        Standard deviation of each coordinate of what is seen, m.
+        Standard deviation of each coordinate of the observed points, m.
     """
 
     element_size_m: float = 0.010
@@ -107,7 +107,9 @@ def push(folder: Path, organ: Organ, settings: PushSettings) -> Pushed:
     fixed[:count] = organ.attached[cKDTree(vertices).query(surface.vertices)[1]]
     normals = vertex_normals(surface)
     from_held = np.asarray(cKDTree(nodes[fixed]).query(surface.vertices)[0])
-    thick = signed_distance(surface, surface.vertices - _THICK_M * normals) < -0.75 * _THICK_M
+    thick = (
+        signed_distance(surface, surface.vertices - _LEAST_THICKNESS_M * normals) < -0.75 * _LEAST_THICKNESS_M
+    )
     centre = int(np.where(thick, from_held, from_held.min()).argmax())
     reach = np.linalg.norm(surface.vertices - surface.vertices[centre], axis=1)
     weight = np.exp(-0.5 * (reach / settings.radius_m) ** 2) * vertex_areas(surface)
@@ -131,7 +133,7 @@ def _force_for(
     """
     low, high, force = 0.0, np.inf, _FIRST_FORCE_N
     found: tuple[float, FloatArray] | None = None
-    for _ in range(_SOLUTIONS):
+    for _ in range(_MOST_SOLUTIONS):
         moved = solve(nodes, tets, fixed, force * load, MATERIAL).displacement
         largest = float(np.linalg.norm(moved, axis=1).max())
         if largest <= 1.1 * largest_m:
@@ -169,11 +171,13 @@ def write_simulated_case(
     _copy_organ(folder, out)
     chosen = patch(organ.surface, _beside(organ, pushed.pushed_at), settings.visible_share)
     faces = np.asarray(chosen[organ.surface.faces].all(axis=1))
-    seen = sample_faces(organ.surface, faces, _SEEN_SPACING_M)[0]
-    seen = seen[spread_points(seen, _SEEN_POINTS)]
-    after = seen + pushed.at(seen) + settings.noise_m * rng.normal(size=seen.shape)
-    few = spread_points(seen, CORRESPONDENCES)
-    _write_table(out / "correspondences.csv", "x,y,z,x_after,y_after,z_after", np.hstack([seen, after])[few])
+    observed = sample_faces(organ.surface, faces, _OBSERVED_SPACING_M)[0]
+    observed = observed[spread_points(observed, _OBSERVED_POINTS)]
+    after = observed + pushed.at(observed) + settings.noise_m * rng.normal(size=observed.shape)
+    few = spread_points(observed, CORRESPONDENCES)
+    _write_table(
+        out / "correspondences.csv", "x,y,z,x_after,y_after,z_after", np.hstack([observed, after])[few]
+    )
     # In another order than before, so that nothing tells which point is which.
     _write_table(out / "surface_after.csv", "x,y,z", after[rng.permutation(len(after))])
     markers = _markers(organ, pushed)
@@ -198,11 +202,11 @@ def write_simulated_case(
 
 
 def _beside(organ: Organ, pushed_at: FloatArray) -> FloatArray:
-    """Return a point of the surface (3,) m beside the pushed patch, so that part of that is seen."""
+    """Return a point of the surface (3,) m beside the pushed patch, so that part of that is visible."""
     held = organ.surface.vertices[organ.attached].mean(axis=0)
     free = organ.surface.vertices[~organ.attached]
     gap = np.linalg.norm(free - pushed_at, axis=1)
-    around = free[gap <= max(_BESIDE_M, float(gap.min()))]
+    around = free[gap <= max(_PATCH_DISTANCE_M, float(gap.min()))]
     return np.asarray(around[int(np.linalg.norm(around - held, axis=1).argmin())])
 
 

@@ -172,7 +172,7 @@ class _Field:
     def posterior(
         self,
         rows: sparse.csr_matrix,
-        seen: FloatArray,
+        observed: FloatArray,
         sigma_m: float,
         range_m: float,
         amplitude_m: float,
@@ -186,22 +186,22 @@ class _Field:
         pick = sparse.csc_matrix((ones, (wanted, np.arange(len(wanted)))), shape=(count, len(wanted)))
         prior = amplitude_m**2 * np.einsum("ik,ik->k", pick.toarray(), self.covariance(range_m, pick))
         cross = amplitude_m**2 * self.covariance(range_m, at.T.tocsc())
-        inner = at @ cross + sigma_m**2 * np.eye(len(seen))
+        inner = at @ cross + sigma_m**2 * np.eye(len(observed))
         gain = np.linalg.solve(inner, cross[wanted].T).T
         variance = prior - np.einsum("km,km->k", gain, cross[wanted])
-        return gain @ seen, np.sqrt(np.maximum(variance, 0.0))
+        return gain @ observed, np.sqrt(np.maximum(variance, 0.0))
 
 
 def _most_likely(
-    field: _Field, rows: sparse.csr_matrix, seen: FloatArray, sigma_m: float
+    field: _Field, rows: sparse.csr_matrix, observed: FloatArray, sigma_m: float
 ) -> tuple[float, float]:
-    """Choose range and amplitude (m) by the marginal likelihood of what is seen, (m, 3) m."""
+    """Choose range and amplitude (m) by the marginal likelihood of the observation, (m, 3) m."""
     at = field.local(rows)
     best, chosen = -np.inf, (RANGES_M[0], AMPLITUDES_M[0])
     for range_m in RANGES_M:
         unit = at @ field.covariance(range_m, at.T.tocsc())
         eigenvalues, vectors = np.linalg.eigh(0.5 * (unit + unit.T))
-        power = ((vectors.T @ seen) ** 2).sum(axis=1)
+        power = ((vectors.T @ observed) ** 2).sum(axis=1)
         for amplitude in AMPLITUDES_M:
             variance = amplitude**2 * np.maximum(eigenvalues, 0.0) + sigma_m**2
             likelihood = -0.5 * float((power / variance + 3.0 * np.log(variance)).sum())

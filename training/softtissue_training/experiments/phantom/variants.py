@@ -24,7 +24,7 @@ from softtissue_training.experiments.coherent_point_drift import (
     coherent_point_drift,
     spread_points,
 )
-from softtissue_training.experiments.phantom.case import PhantomCase, SeenSurface
+from softtissue_training.experiments.phantom.case import ObservedSurface, PhantomCase
 from softtissue_training.experiments.phantom.spread import FEWEST_POINTS, spread_correspondences
 
 FloatArray = NDArray[np.float64]
@@ -34,9 +34,9 @@ FEW = 100
 """Correspondences up to this number are also spread over the surface around them."""
 OWN_ANSWER = "registration"
 """Label of the answer that a registration gives by itself."""
-_SPACING_M = 0.004
+_SAMPLE_SPACING_M = 0.004
 _REACH_M = 0.008  # of the rigidly registered points: what lies further away is not taken for visible
-_OVERLAP = 0.9
+_COUNTED_SHARE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,22 +145,25 @@ def _spread(case: PhantomCase, chosen: NDArray[np.int64]) -> Variant:
     return _variant(case, "spread", title, text, observation, time.perf_counter() - start, None, details)
 
 
-def _registered(case: PhantomCase, seen: SeenSurface, asked: FloatArray, progress: Progress) -> Variant:
+def _registered(
+    case: PhantomCase, observed: ObservedSurface, asked: FloatArray, progress: Progress
+) -> Variant:
     start = time.perf_counter()
     found = register_elastically(
-        seen.points, case.organ, asked, case.sigma_m, normals=seen.normals, progress=progress
+        observed.points, case.organ, asked, case.sigma_m, normals=observed.normals, progress=progress
     )
     seconds = time.perf_counter() - start
-    reference, points = found.reference[found.counted], seen.points[found.counted]
+    reference, points = found.reference[found.counted], observed.points[found.counted]
     observation = _observe(case, reference, points - reference, case.sigma_m)
     text = (
-        f"Only {len(seen.points)} points of the deformed surface: rigid registration (root mean square distance "
+        f"Only {len(observed.points)} points of the deformed surface: rigid registration (root mean square distance "
         f"{1e3 * found.rigid.rms_m:.1f} mm), then the elastic posterior and closest points in turn "
         f"({1e3 * found.rms_m:.1f} mm at the end). {OWN_ANSWER!r} is the posterior that this ends with, which knows "
-        "that nothing was seen along the surface; the other estimators are given its pairs as if they had been seen."
+        "that nothing was observed along the surface; the other estimators are given its pairs as if they were "
+        "observed."
     )
     details = {
-        "points": len(seen.points),
+        "points": len(observed.points),
         "counted": int(found.counted.sum()),
         "rigid_rms_mm": 1e3 * found.rigid.rms_m,
         "rms_mm": 1e3 * found.rms_m,
@@ -178,27 +181,27 @@ def _registered(case: PhantomCase, seen: SeenSurface, asked: FloatArray, progres
     )
 
 
-def _drift(case: PhantomCase, seen: SeenSurface) -> Variant:
+def _drift(case: PhantomCase, surface_after: ObservedSurface) -> Variant:
     start = time.perf_counter()
     surface = case.organ.surface
-    rigid = rigid_icp(seen.points, surface, overlap=_OVERLAP)
-    points = rigid.motion.apply(seen.points)
-    samples = sample_faces(surface, None, _SPACING_M)[0]
+    rigid = rigid_icp(surface_after.points, surface, overlap=_COUNTED_SHARE)
+    points = rigid.motion.apply(surface_after.points)
+    samples = sample_faces(surface, None, _SAMPLE_SPACING_M)[0]
     near = cKDTree(points).query(samples)[0] <= _REACH_M
     moving = samples[near]
     drift = coherent_point_drift(moving, points, DriftSettings(start_sigma_m=_REACH_M))
     moved = moving + drift.displacement
     # Where nothing was observed in the end, the drift is extrapolated.
-    observed = cKDTree(points).query(moved)[0] <= max(_SPACING_M, 3.0 * drift.sigma_m)
+    observed = cKDTree(points).query(moved)[0] <= max(_SAMPLE_SPACING_M, 3.0 * drift.sigma_m)
     moving, displacement = moving[observed], (rigid.motion.undo(moved) - moving)[observed]
     observation = _observe(case, moving, displacement, max(case.sigma_m, drift.sigma_m))
     text = (
-        f"Only {len(seen.points)} points of the deformed surface: rigid registration, then coherent point drift of the "
-        f"surface within {1e3 * _REACH_M:.0f} mm of them ({drift.iterations} iterations, "
+        f"Only {len(surface_after.points)} points of the deformed surface: rigid registration, then coherent point "
+        f"drift of the surface within {1e3 * _REACH_M:.0f} mm of them ({drift.iterations} iterations, "
         f"{1e3 * drift.sigma_m:.1f} mm at the end)."
     )
     details = {
-        "points": len(seen.points),
+        "points": len(surface_after.points),
         "rigid_rms_mm": 1e3 * rigid.rms_m,
         "iterations": drift.iterations,
         "converged": drift.converged,

@@ -9,8 +9,8 @@ from softtissue_estimator.estimators.hybrid.input import HybridSpec, remainder, 
 from softtissue_training.learning.hybrid.batches import HybridBatch
 from softtissue_training.learning.hybrid.config import HybridConfig
 
-_UNIT_M = 0.001
-_ROUNDED_M = 0.00005  # below this, the error counts as its square
+_ERROR_UNIT_M = 0.001
+_ROUNDING_M = 0.00005  # below this, the error counts as its square
 _SMALL_ERROR_M = 0.0002
 
 
@@ -36,9 +36,9 @@ def view_losses(outputs: Tensor, batch: HybridBatch, config: HybridConfig) -> Te
     weight = batch.hidden + config.visible_weight * batch.visible
     weight = weight / weight.sum(dim=1, keepdim=True).clamp_min(1e-9)
     squared = (found - batch.target).square().sum(dim=2)
-    error = ((squared + _ROUNDED_M**2).sqrt() * weight).sum(dim=1) / _UNIT_M
+    error = ((squared + _ROUNDING_M**2).sqrt() * weight).sum(dim=1) / _ERROR_UNIT_M
     before = (batch.target.square().sum(dim=2).sqrt() * weight).sum(dim=1)
-    scale = ((before + _SMALL_ERROR_M) / _UNIT_M).pow(-config.balance)
+    scale = ((before + _SMALL_ERROR_M) / _ERROR_UNIT_M).pow(-config.balance)
     spread = sigma / config.spec.sigma_factor
     misfit = squared.detach() / spread.square() / 6.0 + (spread / batch.sigma).log()
     return error * scale + config.likelihood * (misfit * weight).sum(dim=1)

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
 
-_STEP_M = 5e-6
-_ROUNDED = ("displacement", "reference")
+_ROUNDING_M = 5e-6
+_ROUNDED_FIELDS = ("displacement", "reference")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class PosteriorCase:
     share, noise
         (V,) visible share of the surface; standard deviation of the noise, metres.
     counts
-        (V,) patches that were seen; of these, one view after the other:
+        (V,) observed patches; of these, one view after the other:
     reference, misfit, seen_sigma
         (sum of counts, 3), (.., 3) and (..,): as of `ObservedMisfit`, metres.
     """
@@ -154,12 +154,12 @@ def parse_posteriors(content: bytes, source: str) -> PosteriorRecord:
 
 
 def _packed(name: str, values: Any) -> Any:
-    if name not in _ROUNDED:
+    if name not in _ROUNDED_FIELDS:
         return values
-    steps = np.rint(values.astype(np.float64) / _STEP_M)
+    steps = np.rint(values.astype(np.float64) / _ROUNDING_M)
     small = np.abs(steps).max(initial=0.0) < 2**15
     return steps.astype(np.int16 if small else np.int32)
 
 
 def _unpacked(name: str, values: Any) -> Any:
-    return (values * _STEP_M).astype(np.float32) if name in _ROUNDED else values
+    return (values * _ROUNDING_M).astype(np.float32) if name in _ROUNDED_FIELDS else values

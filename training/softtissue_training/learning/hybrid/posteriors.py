@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 SETTINGS = "posterior.json"
 MESH_CACHE = "tetrahedra-"  # how the estimator's cache names coarse meshes
-_VERSION = 1
+_RECORD_VERSION = 1
 # Imported by the estimator without changing what it answers.
 _WITHOUT_INFLUENCE = frozenset(
     {"config", "errors", "estimators.estimator", "inference", "support"}
@@ -51,7 +51,13 @@ _WITHOUT_INFLUENCE = frozenset(
         for name in ("mesh_files", "mesh_io", "organ", "organ_checks", "organ_file", "surface_repair")
     }
 )
-_ELASTIC = ("poisson_ratio", "poisson_ratio_sigma", "prior_sigma_m", "model_sigma_m", "attachment_length_m")
+_ELASTIC_SETTINGS = (
+    "poisson_ratio",
+    "poisson_ratio_sigma",
+    "prior_sigma_m",
+    "model_sigma_m",
+    "attachment_length_m",
+)
 _Result = tuple[str, bytes, list[str], int]
 
 
@@ -81,7 +87,7 @@ class PosteriorReport:
 def posterior_settings(recipe: ViewRecipe, spec: HybridSpec) -> dict[str, Any]:
     """Return all that stored posteriors depend on beside the simulations: views, grid, estimator and its code."""
     settings = asdict(EstimatorConfig())
-    elastic = {name: settings[name] for name in _ELASTIC}
+    elastic = {name: settings[name] for name in _ELASTIC_SETTINGS}
     grid = {
         "spacing": spec.spacing,
         "margin_cells": spec.margin_cells,
@@ -91,7 +97,7 @@ def posterior_settings(recipe: ViewRecipe, spec: HybridSpec) -> dict[str, Any]:
     made: dict[str, Any] = json.loads(
         json.dumps(
             {
-                "version": _VERSION,
+                "version": _RECORD_VERSION,
                 "recipe": asdict(recipe),
                 "grid": grid,
                 "elastic": elastic,

@@ -1,4 +1,4 @@
-"""One view of one simulation as the hybrid network sees it, made by the estimator's own preprocessing."""
+"""One view of one simulation as the hybrid network is given it, made by the estimator's own preprocessing."""
 
 from __future__ import annotations
 

@@ -26,9 +26,9 @@ SHARES = (0.0, 0.08, 0.15, 0.25, 0.6, 1.01)
 """Limits of the bins of the visible share."""
 GAINS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares of the remainder that are tried."""
-_LIKELIHOOD_M = 1e-4  # error that a nat of likelihood is worth, when the best weights are chosen
+_ERROR_PER_NAT_M = 1e-4  # error that a nat of likelihood is worth, when the best weights are chosen
 _EDGES = np.geomspace(0.01, 30.0, 161)  # of |error| / sigma
-_WANTED = ((1.0, 0.6827), (2.0, 0.9545))
+_NORMAL_SHARES = ((1.0, 0.6827), (2.0, 0.9545))
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def summarised(table: FloatArray, shares: FloatArray) -> HybridResult:
     return HybridResult(
         error=float(error.mean()),
         elastic_error=float(elastic.mean()),
-        score=float(error.mean()) + _LIKELIHOOD_M * float(likelihood.mean()),
+        score=float(error.mean()) + _ERROR_PER_NAT_M * float(likelihood.mean()),
         remainder_gain=GAINS[best],
         sigma_factor=factor,
         within_one=within[0],
@@ -173,8 +173,8 @@ def calibration(histogram: FloatArray) -> tuple[float, tuple[float, float]]:
     """
     cumulative = np.cumsum(histogram)[:-1] / max(float(histogram.sum()), 1e-12)
     candidates = _EDGES[(_EDGES > 0.2) & (_EDGES < 5.0)]
-    held = np.array([np.interp(limit * candidates, _EDGES, cumulative) for limit, _ in _WANTED])
+    held = np.array([np.interp(limit * candidates, _EDGES, cumulative) for limit, _ in _NORMAL_SHARES])
     # In units of the widths of the two intervals that are asked for, 63 to 73 and 92 to 98 %.
-    off = np.abs(held[0] - _WANTED[0][1]) / 0.05 + np.abs(held[1] - _WANTED[1][1]) / 0.03
+    off = np.abs(held[0] - _NORMAL_SHARES[0][1]) / 0.05 + np.abs(held[1] - _NORMAL_SHARES[1][1]) / 0.03
     best = int(off.argmin())
     return float(candidates[best]), (float(held[0, best]), float(held[1, best]))

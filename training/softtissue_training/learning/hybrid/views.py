@@ -1,4 +1,4 @@
-"""What is seen of a simulation: many views of one organ, as different as those of a camera in use."""
+"""Observations of a simulation: many views of one organ, as different as those of a camera in use."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class ViewRecipe:
     seed
         Views depend on it and on the record alone.
     visible_share
-        Lowest and highest share of the surface that is seen. Half of the views draw it on a logarithmic scale, so that
-        small patches are not rare, the others evenly from `common_share`.
+        Lowest and highest visible share of the surface. Half of the views draw it on a logarithmic scale, so that small
+        patches are not rare, the others evenly from `common_share`.
     common_share
         See there.
     noise_m
@@ -117,7 +117,7 @@ def draw_view(organ: Organ, displacement: FloatArray, recipe: ViewRecipe, rng: n
     Raises
     ------
     InvalidInputError
-        Too few points are seen for any estimator.
+        Too few points are observed for any estimator.
     """
     surface, areas = organ.surface, face_areas(organ.surface)
     faces = draw_faces(surface, recipe.draw_share, rng)
