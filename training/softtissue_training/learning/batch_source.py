@@ -23,10 +23,10 @@ from softtissue_training.learning.training_config import TrainingConfig
 
 @dataclass(frozen=True)
 class DrawnSample:
-    """A sample, what is seen of it, and the generator of what is still to be drawn."""
+    """A sample, what is observed of it, and the generator of what is still to be drawn."""
 
     sample: PreparedSample
-    seen: tuple[Tensor, Tensor]
+    observed: tuple[Tensor, Tensor]
     rng: np.random.Generator
 
 
@@ -90,7 +90,7 @@ class BatchSource:
         config = self._config
         voxels = voxelise_many(
             [one.sample for one in drawn.samples],
-            [one.seen for one in drawn.samples],
+            [one.observed for one in drawn.samples],
             config.spec,
             self._device,
         )
@@ -140,27 +140,27 @@ class BatchSource:
         for slot in own or [0]:
             sample = samples[chosen[slot]]
             sample_rng = stream(config.seed, Purpose.SAMPLE, epoch, number, slot)
-            seen = (
-                draw_seen(sample, sample_rng, config)
+            observed = (
+                draw_observed(sample, sample_rng, config)
                 if config.redraw
                 else fixed_view(sample, chosen[slot], config)
             )
-            drawn.append(DrawnSample(sample, seen, sample_rng))
+            drawn.append(DrawnSample(sample, observed, sample_rng))
         return DrawnBatch(epoch, number, is_last, len(chosen), bool(own), tuple(drawn), growth, axes)
 
 
-def draw_seen(
+def draw_observed(
     sample: PreparedSample, rng: np.random.Generator, config: TrainingConfig
 ) -> tuple[Tensor, Tensor]:
-    """Draw what is seen of a sample in training."""
+    """Draw what is observed of a sample in training."""
     return draw_visible(
         sample, rng, config.visible_share, noise_m=config.noise_m, correspondences=config.correspondences
     )
 
 
 def fixed_view(sample: PreparedSample, index: int, config: TrainingConfig) -> tuple[Tensor, Tensor]:
-    """Return what is always seen of the training sample of that number where patches are not drawn anew."""
-    return draw_seen(sample, stream(config.seed, Purpose.FIXED, index), config)
+    """Return what is always observed of the training sample of that number where patches are not drawn anew."""
+    return draw_observed(sample, stream(config.seed, Purpose.FIXED, index), config)
 
 
 def _sizes(sample: PreparedSample, exchange_axes: bool) -> tuple[Counts, ...]:

@@ -44,7 +44,7 @@ class PreparedSample:
     Attributes
     ----------
     grid
-        The grid of the arrays: the one on which the estimator sees the organ, or the cube around it.
+        The grid of the arrays: the one on which the estimator is given the organ, or the cube around it.
     box
         Cell counts of the former, which lies in the middle of the latter.
     signed_distance, zero_displacement
@@ -135,7 +135,7 @@ def draw_visible(
     Parameters
     ----------
     share
-        Lowest and highest share of the surface that is seen.
+        Lowest and highest share of the surface that is visible.
     noise_m
         Lowest and highest standard deviation of Gaussian noise on each component of the displacement, metres.
     correspondences
@@ -183,7 +183,7 @@ def voxelise(
 
 def voxelise_many(
     samples: Sequence[PreparedSample],
-    seen: Sequence[tuple[Tensor, Tensor]],
+    observed: Sequence[tuple[Tensor, Tensor]],
     spec: NetworkSpec,
     device: torch.device,
 ) -> list[Voxels]:
@@ -191,7 +191,7 @@ def voxelise_many(
 
     Parameters
     ----------
-    seen
+    observed
         Visible points and displacements of each sample, as `draw_visible` returns them.
     """
     together = len({sample.grid.shape for sample in samples}) == 1
@@ -200,8 +200,8 @@ def voxelise_many(
     for group in groups:
         visible = rasterise_many(
             [samples[i].grid for i in group],
-            [seen[i][0].to(device) for i in group],
-            [seen[i][1].to(device) for i in group],
+            [observed[i][0].to(device) for i in group],
+            [observed[i][1].to(device) for i in group],
         )[0]
         result += [
             _channels(samples[i], field, spec, device) for i, field in zip(group, visible, strict=True)

@@ -154,11 +154,11 @@ class _Run(RunLoop[DrawnBatch, ValidationResult]):
         config, samples = self.config, list(self.dataset.held_out)
         if config.validation_every == 0:
             samples = list(self.dataset.training)
-            seen = [fixed_view(sample, index, config) for index, sample in enumerate(samples)]
+            observed = [fixed_view(sample, index, config) for index, sample in enumerate(samples)]
         else:
             rng = stream(config.seed, Purpose.VALIDATION)
-            seen = [draw_visible(sample, rng, config.validation_visible_share) for sample in samples]
-        return Validation(samples, seen, config.spec, self.device)
+            observed = [draw_visible(sample, rng, config.validation_visible_share) for sample in samples]
+        return Validation(samples, observed, config.spec, self.device)
 
     def _begin(self) -> Progress:
         """Give every layer unit variance on a sample with the largest grid, and say what was reached."""

@@ -1,4 +1,4 @@
-"""How far a network is off on organs that it was not trained on, beside a rigid fit of what is seen."""
+"""How far a network is off on organs that it was not trained on, beside a rigid fit of the observation."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ class Validation:
 
     Parameters
     ----------
-    seen
+    observed
         Visible points and displacements of each sample, as `draw_visible` returns them.
     """
 
     def __init__(
         self,
         samples: Sequence[PreparedSample],
-        seen: Sequence[tuple[Tensor, Tensor]],
+        observed: Sequence[tuple[Tensor, Tensor]],
         spec: NetworkSpec,
         device: torch.device,
     ) -> None:
@@ -63,7 +63,7 @@ class Validation:
         self._inputs: list[tuple[PreparedSample, Tensor, Tensor]] = []
         self._displacement: list[float] = []
         self._rigid: list[float] = []
-        for sample, (points, displacement) in zip(samples, seen, strict=True):
+        for sample, (points, displacement) in zip(samples, observed, strict=True):
             self._inputs.append((sample, points, displacement))
             inside = (sample.signed_distance <= 0).reshape(-1).numpy()
             target = sample.target.reshape(-1, 3).double().numpy()[inside]
