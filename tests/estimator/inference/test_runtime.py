@@ -129,8 +129,13 @@ def real():
     for seed, time_s in ((0, 0.5), (1, 1.5)):
         scene = BendingOrgan(organ, 1500, np.random.default_rng(seed))
         sigma = np.full(1500, 5e-4)
-        seen, _ = make_observation(scene.points(time_s), scene.reference, sigma, organ, EstimatorConfig())
-        parts = (torch.from_numpy(part) for part in (seen.reference, seen.displacement, seen.sigma))
+        observation, _ = make_observation(
+            scene.points(time_s), scene.reference, sigma, organ, EstimatorConfig()
+        )
+        parts = (
+            torch.from_numpy(part)
+            for part in (observation.reference, observation.displacement, observation.sigma)
+        )
         inputs.append(assemble_input(channels, visible_displacement(channels.grid, *parts), checkpoint.spec))
     return checkpoint, channels, inputs
 

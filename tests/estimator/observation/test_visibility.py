@@ -9,25 +9,25 @@ from softtissue_estimator.organ.mesh import face_areas, sample_faces
 ORGAN = organ_of(ellipsoid())
 
 
-def share_seen(points):
+def visible_share(points):
     return visible_fraction(ORGAN, Observation(points, np.zeros_like(points), np.full(len(points), 0.001)))
 
 
 @pytest.mark.parametrize("height", [-0.02, 0.0, 0.015])
 def test_dense_cloud_sees_the_area_it_covers(height):
-    seen = ORGAN.surface.triangles[:, :, 2].mean(axis=1) > height
+    visible = ORGAN.surface.triangles[:, :, 2].mean(axis=1) > height
     areas = face_areas(ORGAN.surface)
-    points = sample_faces(ORGAN.surface, seen, 0.002)[0]
-    assert share_seen(points) == pytest.approx(areas[seen].sum() / areas.sum(), abs=0.035)
+    points = sample_faces(ORGAN.surface, visible, 0.002)[0]
+    assert visible_share(points) == pytest.approx(areas[visible].sum() / areas.sum(), abs=0.035)
 
 
 def test_whole_surface_and_none_of_it():
     everything = sample_faces(ORGAN.surface, None, 0.002)[0]
-    assert share_seen(everything) == pytest.approx(1.0, abs=0.005)
-    assert share_seen(np.empty((0, 3))) == 0.0
-    assert share_seen(np.full((5, 3), 10.0)) == 0.0
+    assert visible_share(everything) == pytest.approx(1.0, abs=0.005)
+    assert visible_share(np.empty((0, 3))) == 0.0
+    assert visible_share(np.full((5, 3), 10.0)) == 0.0
 
 
 def test_repeated_points_see_no_more():
     points = sample_faces(ORGAN.surface, ORGAN.surface.triangles[:, 0, 0] > 0.0, 0.002)[0]
-    assert share_seen(np.repeat(points, 3, axis=0)) == share_seen(points)
+    assert visible_share(np.repeat(points, 3, axis=0)) == visible_share(points)

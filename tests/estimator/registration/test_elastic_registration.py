@@ -62,7 +62,7 @@ def test_an_organ_that_nothing_holds_follows_a_rigid_motion():
 
 
 def test_points_with_normals_do_not_end_up_on_the_other_side():
-    # A disc 16 mm thick whose upper side was seen 6 mm further down: nearer to the lower side, but facing away from it.
+    # A disc 16 mm thick whose upper side lies 6 mm further down: nearer to the lower side, but facing away from it.
     ball = ellipsoid()
     disc = SurfaceMesh(ball.vertices * [1.0, 1.0, 0.2], ball.faces)
     organ = make_organ("disc", "organ", disc, (), disc.vertices[:, 0] < -0.045)

@@ -64,8 +64,8 @@ def organ() -> Organ:
 @pytest.fixture
 def observation(organ: Organ) -> Observation:
     rng = np.random.default_rng(3)
-    seen = organ.surface.vertices[organ.surface.vertices[:, 2] > 0.01]
-    return Observation(seen, rng.normal(scale=0.01, size=seen.shape), np.full(len(seen), 0.001))
+    visible = organ.surface.vertices[organ.surface.vertices[:, 2] > 0.01]
+    return Observation(visible, rng.normal(scale=0.01, size=visible.shape), np.full(len(visible), 0.001))
 
 
 def _loaded(checkpoint: Path, organ: Organ, device: str = "cpu", precision: str = "auto") -> PaperEstimator:

@@ -76,8 +76,8 @@ def test_flipping_the_organ_flips_the_input() -> None:
     surface = _ellipsoid()
     attached = surface.vertices[:, 0] < -0.04
     rng = np.random.default_rng(0)
-    seen = surface.vertices[rng.choice(len(surface.vertices), 60, replace=False)]
-    moved = rng.normal(scale=0.01, size=seen.shape)
+    observed = surface.vertices[rng.choice(len(surface.vertices), 60, replace=False)]
+    moved = rng.normal(scale=0.01, size=observed.shape)
     flip = np.array([-1.0, 1.0, 1.0])
     mirrored = SurfaceMesh(surface.vertices * flip, surface.faces[:, ::-1])
 
@@ -88,8 +88,8 @@ def test_flipping_the_organ_flips_the_input() -> None:
         )
         return assemble_input(channels, visible, SPEC)
 
-    plain = inputs(surface, seen, moved)
-    other = inputs(mirrored, seen * flip, moved * flip)
+    plain = inputs(surface, observed, moved)
+    other = inputs(mirrored, observed * flip, moved * flip)
     expected = plain.flip(2)
     expected[:, 1] *= -1.0
     torch.testing.assert_close(other, expected, atol=2e-5, rtol=1e-4)
