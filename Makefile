@@ -17,7 +17,7 @@ VENV_INPUTS := constraints.txt $(wildcard requirements*.txt) $(wildcard training
 # Python modules are linked into the workspace, so that editing them needs no build. Folders are listed beside their
 # files: their time changes when a file comes or goes.
 BUILD_INPUTS := scripts/build_workspace scripts/env.sh \
-	$(wildcard softtissue_estimator/package.xml softtissue_estimator/setup.py softtissue_estimator/setup.cfg) \
+	$(wildcard $(addprefix softtissue_estimator/,package.xml pyproject.toml setup.py setup.cfg)) \
 	$(shell find softtissue_msgs -not -name '.*') \
 	$(shell find $(addprefix softtissue_estimator/,bags config launch organs rviz weights) \
 		-not -name '.*' -not -name '*.pyc' -not -name __pycache__ 2>/dev/null)
@@ -50,23 +50,18 @@ verify: $(VENV_STAMP) ## the physics alone: tests/verification; needs no built w
 	@echo "==> Verifying the simulations"
 	@.venv/bin/python -m pytest -ra $(PYTEST_ARGS) tests/verification
 
-lint: $(VENV_STAMP) ## ruff (rules and format) and mypy --strict; needs no built workspace
-	@echo "==> ruff and mypy"
-	@failed=0; \
-	.venv/bin/ruff check . || failed=1; \
-	.venv/bin/ruff format --check . || failed=1; \
-	.venv/bin/mypy || failed=1; \
-	exit $$failed
+lint: $(VENV_STAMP) ## every check of .pre-commit-config.yaml (ruff, mypy --strict, ...); needs no built workspace
+	@.venv/bin/pre-commit run --all-files --color=auto
 
 format: $(VENV_STAMP) ## let ruff format the sources and mend what it can
 	@.venv/bin/ruff check --fix .
 	@.venv/bin/ruff format .
 
 clean: ## remove what was built and written: ros2_ws/{build,install,log}, out, caches
-	rm -rf ros2_ws/build ros2_ws/install ros2_ws/log out .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf ros2_ws/build ros2_ws/install ros2_ws/log softtissue_estimator/build training/build out .mypy_cache .ruff_cache .pytest_cache .hypothesis
 
 distclean: clean ## and .venv
-	rm -rf .venv .build.lock training/*.egg-info
+	rm -rf .venv .build.lock softtissue_estimator/*.egg-info training/*.egg-info
 
 $(VENV_STAMP): $(VENV_INPUTS)
 	@scripts/setup_venv $(PYTHON)
