@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+import softtissue_estimator
+
 ROOT = Path(__file__).parents[1]
 CORE = ROOT / "softtissue_estimator" / "softtissue_estimator"
 TRAINING = ROOT / "training" / "softtissue_training"
@@ -73,6 +75,13 @@ def test_rooms_import_only_from_floors_below(module):
     prefix = f"{CORE.name}."
     imported = {name.removeprefix(prefix) for name in imports(MODULES[module]) if name.startswith(prefix)}
     assert {name: room_of(name) for name in imported if room_of(name) not in allowed} == {}
+
+
+def test_modules_import_one_another_and_not_the_public_names():
+    """Whoever follows imports, as stored results do to know what they depend on, must see the module."""
+    public = {f"{CORE.name}.{name}" for name in softtissue_estimator.__all__}
+    assert len(public) > 10
+    assert offending([*MODULES.values(), *sorted(TRAINING.rglob("*.py"))], public) == []
 
 
 def test_every_room_exists_and_the_root_holds_nothing_else():

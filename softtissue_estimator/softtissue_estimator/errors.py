@@ -19,3 +19,7 @@ class OrganError(SoftTissueError):
 
 class CheckpointError(SoftTissueError):
     """Network weights that are damaged or do not fit the network."""
+
+
+class MissingDependencyError(SoftTissueError, ImportError):
+    """Other software that something optional needs, and that is not installed."""
