@@ -1,5 +1,6 @@
-"""Packaging of softtissue_estimator for colcon (ament_python) and pip."""
+"""What pyproject.toml cannot say: the files beside the code, and commands for colcon alone."""
 
+import sys
 from pathlib import Path
 
 from setuptools import find_packages, setup
@@ -7,6 +8,17 @@ from setuptools import find_packages, setup
 NAME = "softtissue_estimator"
 # Folders whose files go to share/softtissue_estimator/ as they are.
 SHARED = ("bags", "config", "launch", "organs", "rviz", "weights")
+# `ros2 run softtissue_estimator ...` looks these up in lib/softtissue_estimator/, where setup.cfg has colcon put them.
+ROS_COMMANDS = {
+    "node": "ros.node",
+    "replay": "ros.tools.replay",
+    "score": "ros.tools.score",
+    "demo": "ros.tools.demo",
+    "latency": "ros.tools.latency.main",
+}
+COMMANDS = {"check_organ": "organ.check_organ"}
+# pip, which builds a wheel, would put them into bin/, where `node` hides another program and there may be no ROS.
+WHEEL_STEPS = {"bdist_wheel", "dist_info", "editable_wheel"}
 
 
 def shared_files() -> list[tuple[str, list[str]]]:
@@ -19,59 +31,21 @@ def shared_files() -> list[tuple[str, list[str]]]:
     return sorted(targets.items())
 
 
+def commands() -> list[str]:
+    """List the entry points of the commands that this kind of installation has."""
+    modules = COMMANDS if WHEEL_STEPS & set(sys.argv) else COMMANDS | ROS_COMMANDS
+    return [f"{command} = {NAME}.{module}:main" for command, module in modules.items()]
+
+
 setup(
-    name=NAME,
-    version="0.1.0",
-    description="Where an organ's inner structures are, from a part of its surface; a ROS 2 node and its core",
-    maintainer="Soft-tissue navigation maintainers",
-    maintainer_email="maintainers@softtissue.example.org",
-    license="Apache-2.0",
-    python_requires=">=3.11",
+    license="Apache-2.0",  # in pyproject.toml no form is right for both setuptools 68, which ROS 2 Jazzy has, and 79
+    python_requires=">=3.11",  # in pyproject.toml it becomes a value that colcon cannot read
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         *shared_files(),
     ],
-    install_requires=[
-        "libigl",
-        "numpy",
-        "pytetwild",
-        "pyyaml",
-        "rosbags",
-        "safetensors",
-        "scipy",
-        "threadpoolctl",
-        "torch",
-        "tqdm",
-        "trimesh",
-    ],
-    extras_require={
-        "vtk": ["vtk"],
-        "msh": ["meshio"],
-        "demo": ["matplotlib"],
-        "dev": [
-            "hypothesis",
-            "matplotlib",
-            "mypy",
-            "pytest",
-            "pytest-timeout",
-            "ruff",
-            "scipy-stubs",
-            "tqdm",
-            "types-PyYAML",
-            "types-tqdm",
-        ],
-    },
     zip_safe=False,
-    entry_points={
-        "console_scripts": [
-            f"node = {NAME}.ros.node:main",
-            f"replay = {NAME}.ros.tools.replay:main",
-            f"score = {NAME}.ros.tools.score:main",
-            f"demo = {NAME}.ros.tools.demo:main",
-            f"latency = {NAME}.ros.tools.latency.main:main",
-            f"check_organ = {NAME}.organ.check_organ:main",
-        ],
-    },
+    entry_points={"console_scripts": commands()},
 )

@@ -1,0 +1,86 @@
+"""What `pip install` puts where: the wheels of both packages, built without a network."""
+
+import shutil
+import subprocess
+import sys
+import zipfile
+from email.message import Message
+from email.parser import Parser
+from xml.etree import ElementTree
+
+import pytest
+
+from test_dependencies import CORE, ROOT, TRAINING
+
+PACKAGES = {"softtissue_estimator": CORE, "training": TRAINING}
+
+
+@pytest.fixture(scope="module")
+def wheels(tmp_path_factory):
+    """The wheels, opened, by the folders of their packages."""
+    folder = tmp_path_factory.mktemp("wheels")
+    for package in PACKAGES:
+        leftovers = shutil.ignore_patterns("build", "__pycache__", "*.egg-info")
+        shutil.copytree(ROOT / package, folder / package, ignore=leftovers)
+    command = ["wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", folder]
+    subprocess.run(
+        [sys.executable, "-m", "pip", *command, *(folder / package for package in PACKAGES)], check=True
+    )
+    found = {path.name.partition("-")[0]: zipfile.ZipFile(path) for path in folder.glob("*.whl")}
+    return {"softtissue_estimator": found["softtissue_estimator"], "training": found["softtissue_training"]}
+
+
+def read(wheel: zipfile.ZipFile, ending: str) -> str:
+    (name,) = (name for name in wheel.namelist() if name.endswith(ending))
+    return wheel.read(name).decode()
+
+
+def metadata(wheel: zipfile.ZipFile) -> Message:
+    return Parser().parsestr(read(wheel, ".dist-info/METADATA"))
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_wheel_holds_every_module_and_the_mark_of_types(wheels, package):
+    source = PACKAGES[package]
+    modules = {path.relative_to(source.parent).as_posix() for path in source.rglob("*.py")}
+    assert modules | {f"{source.name}/py.typed"} <= set(wheels[package].namelist())
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_metadata_say_what_it_is_and_where_it_comes_from(wheels, package):
+    said = metadata(wheels[package])
+    assert "Apache-2.0" in (said["License-Expression"] or said["License"])
+    assert read(wheels[package], "licenses/LICENSE") == (ROOT / "LICENSE").read_text(encoding="utf-8")
+    assert said["Requires-Python"] == ">=3.11"
+    assert said.get_payload().startswith("# softtissue")
+    assert {url.partition(",")[0] for url in said.get_all("Project-URL")} >= {"Homepage", "Documentation"}
+
+
+def test_estimator_brings_its_resources(wheels):
+    start = "/data/share/softtissue_estimator/"
+    shared = {name.partition(start)[2] for name in wheels["softtissue_estimator"].namelist()}
+    folder = ROOT / "softtissue_estimator"
+    for name in ("bags", "config", "launch", "organs", "rviz", "weights"):
+        files = {path for path in (folder / name).rglob("*") if path.is_file() and path.suffix != ".pyc"}
+        assert len(files) > 0
+        assert {path.relative_to(folder).as_posix() for path in files} <= shared
+
+
+def test_pip_installs_no_command_that_needs_ros(wheels):
+    assert read(wheels["softtissue_estimator"], "entry_points.txt").split("\n")[1:-1] == [
+        "check_organ = softtissue_estimator.organ.check_organ:main"
+    ]
+    assert read(wheels["training"], "entry_points.txt").split("\n")[1:-1] == [
+        "softtissue-train = softtissue_training.__main__:main"
+    ]
+
+
+def test_training_needs_the_estimator(wheels):
+    assert "softtissue-estimator" in metadata(wheels["training"]).get_all("Requires-Dist")
+
+
+def test_ros_knows_the_same_version_and_licence(wheels):
+    said = metadata(wheels["softtissue_estimator"])
+    manifest = ElementTree.parse(ROOT / "softtissue_estimator" / "package.xml").getroot()
+    assert manifest.findtext("version") == said["Version"]
+    assert manifest.findtext("license") == said["License"]
