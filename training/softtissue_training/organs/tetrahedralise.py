@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import gmsh
 import numpy as np
 from numpy.typing import NDArray
 
-from softtissue_estimator.errors import MeshError
+from softtissue_estimator.errors import MeshError, MissingDependencyError
 from softtissue_estimator.organ.mesh import SurfaceMesh
+
+try:
+    import gmsh
+except OSError as error:  # its library is linked to those of a window, which servers and containers may lack
+    raise MissingDependencyError(
+        f"Gmsh: expected the libraries that it is linked to, got '{error}'; on Debian and Ubuntu, install "
+        "libglu1-mesa libxcursor1 libxft2 libxinerama1"
+    ) from error
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
