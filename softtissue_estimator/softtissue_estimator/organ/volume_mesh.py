@@ -32,14 +32,17 @@ _TIMEOUT_S = 300.0
 _LOCATION_CANDIDATES = 24  # tetrahedra with the nearest centroids, among which a point is looked for
 _MOST_EXTRAPOLATION = 0.75  # lowest weight, below zero
 
-# Runs as its own program; knows nothing but numpy and pytetwild.
+# Runs as its own program; knows nothing but numpy and one module of pytetwild. The package's __init__ would import
+# PyVista, which pytetwild does not install and nothing here needs.
 _PROGRAM = """
+import importlib.util
 import sys
 import numpy as np
-import pytetwild
+sys.modules["pytetwild"] = importlib.util.module_from_spec(importlib.util.find_spec("pytetwild"))
+from pytetwild.pytetwild import tetrahedralize
 source, target, edge, envelope = sys.argv[1:]
 with np.load(source) as surface:
-    nodes, tets = pytetwild.tetrahedralize(
+    nodes, tets = tetrahedralize(
         surface["vertices"], surface["faces"], edge_length_abs=float(edge), epsilon=float(envelope), coarsen=True,
         num_threads=1, quiet=True,
     )

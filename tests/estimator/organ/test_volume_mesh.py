@@ -6,8 +6,8 @@ import trimesh
 
 from estimator.shapes import box_tets, ellipsoid
 from softtissue_estimator.errors import MeshError
+from softtissue_estimator.organ import volume_mesh
 from softtissue_estimator.organ.mesh import SurfaceMesh, enclosed_volume
-from softtissue_estimator.organ.organ import volume_mesh
 from softtissue_estimator.organ.volume_mesh import clean_tets, tetrahedralise
 
 BOX = box_tets()
@@ -81,6 +81,12 @@ def test_organs_are_filled_also_with_holes(missing_faces, caplog):
     assert mesh.volumes.min() > 0.0
     assert "tetrahedra" in said[0]
     assert "of the surface's volume" in caplog.text
+
+
+def test_mesher_needs_no_pyvista(monkeypatch, tmp_path):
+    (tmp_path / "pyvista.py").write_text("raise ModuleNotFoundError('not installed here')", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert len(tetrahedralise(ellipsoid(subdivisions=2), silent).tets) > 500
 
 
 def test_crash_of_the_mesher_is_a_sentence(monkeypatch):
