@@ -7,13 +7,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from softtissue_estimator.errors import InvalidInputError, MissingDependencyError
+from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.estimator import Estimate
 from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.organ.organ import Organ
-from softtissue_estimator.view import picture
-from softtissue_estimator.view.picture import Array
-from softtissue_estimator.view.rendering import Camera, behind_glass, draw_solid, look_from
+from softtissue_estimator.view.panels import (
+    FRONT,
+    HEAD,
+    Array,
+    Direction,
+    draw_before,
+    draw_during,
+    draw_in_colours,
+    figure_of_panels,
+    panel_camera,
+    save_figure,
+)
+from softtissue_estimator.view.rendering import Camera
 from softtissue_estimator.view.scene import Scene
 
 if TYPE_CHECKING:
@@ -27,8 +37,8 @@ def draw_estimate(
     estimate: Estimate,
     *,
     title: str = "",
-    direction: tuple[float, float, float] = (0.10, -1.0, -0.16),
-    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    direction: Direction = FRONT,
+    up: Direction = HEAD,
 ) -> None:
     """Draw the organ before, as estimated now, and the estimate's standard deviation, into a PNG file.
 
@@ -57,14 +67,6 @@ def draw_estimate(
     InvalidInputError
         If the estimate is of another organ.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingDependencyError(
-            "picture: expected matplotlib, got none; pip install matplotlib, or softtissue_estimator with [picture]"
-        ) from error
-
     if estimate.displacement.shape != organ.query_points.shape:
         raise InvalidInputError(
             f"picture: expected an estimate of organ {organ.name!r} with displacements of shape "
@@ -72,38 +74,24 @@ def draw_estimate(
         )
     observed = observation.reference + observation.displacement
     scene = Scene(organ, observation.reference, observed, organ.query_points + estimate.displacement)
-    points = np.concatenate([organ.query_points, scene.estimated, observed])
-    camera = look_from(np.array(direction), np.array(up), points, picture._PANEL)
-    panels = 2 if estimate.sigma is None else 3
-    figure = Figure(figsize=(6.6 * panels, 6.2), dpi=110, facecolor="white")
-    FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(1, panels, left=0.005, right=0.995, top=0.86, bottom=0.16, wspace=0.01)
-    axes = [figure.add_subplot(grid[0, column]) for column in range(panels)]
-    picture._draw_before(axes[0], scene, camera)
-    picture._draw_during(axes[1], scene, camera)
+    figure, axes = figure_of_panels(2 if estimate.sigma is None else 3)
+    camera = panel_camera(direction, up, [organ.query_points, scene.estimated, observed])
+    draw_before(axes[0], scene, camera)
+    draw_during(axes[1], scene, camera)
     if estimate.sigma is not None:
         _draw_uncertainty(axes[2], scene, estimate.sigma, camera)
-    figure.suptitle(title or organ.name, fontsize=17, color=picture._INK, y=0.98)
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, facecolor="white")
+    save_figure(figure, Path(path), title or organ.name)
 
 
 def _draw_uncertainty(axes: Axes, scene: Scene, sigma: Array, camera: Camera) -> None:
-    """Draw the estimated structures coloured by the standard deviation, (q,) m, of the query points."""
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     inner = 1e3 * sigma[: len(scene.organ.structure_points)]
-    scale = Normalize(0.0, max(0.1, float(np.percentile(inner, 99))) if len(inner) else 1.0)
-    colour_map = colormaps["viridis"]
-    colours = [colour_map(scale(part))[:, :3] for part in scene.split(inner)]
-    image = draw_solid(scene.structures(scene.estimated), colours, camera)
-    if scene.surface is not None:
-        image = behind_glass(picture._glass(scene.surface, camera, faint=True), image)
-    picture._show(axes, image, "Standard deviation of the estimate")
-    bar = axes.inset_axes((0.62, 0.06, 0.34, 0.03))
-    axes.figure.colorbar(ScalarMappable(scale, colour_map), cax=bar, orientation="horizontal")
-    bar.set_title("of each component, mm", fontsize=11, color=picture._INK, pad=4)
-    bar.tick_params(labelsize=10)
+    draw_in_colours(
+        axes,
+        scene,
+        inner,
+        camera,
+        top=max(0.1, float(np.percentile(inner, 99)) if len(inner) else 1.0),
+        colours="viridis",
+        title="Standard deviation of the estimate",
+        label="of each component, mm",
+    )

@@ -40,7 +40,7 @@ def estimate(organ, sigma):
 def drawn(path, *arguments):
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("DISPLAY", raising=False)
-        patch.setattr("softtissue_estimator.view.picture._PANEL", (500, 700))
+        patch.setattr("softtissue_estimator.view.panels._PANEL", (500, 700))
         draw_estimate(path, *arguments, direction=FRONT)
     return imread(path)
 

@@ -22,7 +22,7 @@ def pictures(scene, tmp_path_factory):
     front = (0.0, -1.0, 0.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("DISPLAY", raising=False)
-        patch.setattr("softtissue_estimator.view.picture._PANEL", (500, 700))
+        patch.setattr("softtissue_estimator.view.panels._PANEL", (500, 700))
         draw_phantom(folder / "off.png", scene, title="A ball", caption="shifted", direction=front)
         exact = replace(scene, estimated=scene.true, markers=None)
         draw_phantom(folder / "exact.png", exact, direction=front)
@@ -70,6 +70,7 @@ def test_module_imports_without_matplotlib(monkeypatch):
     for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.delitem(sys.modules, "softtissue_estimator.view.picture")
+    monkeypatch.delitem(sys.modules, "softtissue_estimator.view.panels")
     import softtissue_estimator.view.picture as again
 
     assert again.draw_phantom.__doc__
