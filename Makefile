@@ -56,6 +56,7 @@ lint: $(VENV_STAMP) ## ruff (rules and format) and mypy --strict; needs no built
 	.venv/bin/ruff check . || failed=1; \
 	.venv/bin/ruff format --check . || failed=1; \
 	.venv/bin/mypy || failed=1; \
+	.venv/bin/python scripts/check_links.py || failed=1; \
 	exit $$failed
 
 format: $(VENV_STAMP) ## let ruff format the sources and mend what it can
