@@ -20,8 +20,8 @@ CORE = ROOT / "softtissue_estimator" / "softtissue_estimator"
 TRAINING = ROOT / "training" / "softtissue_training"
 
 # Pixels.
-BOX_WIDTH, BOX_HEIGHT, LANE_WIDTH, GAP, FLOOR_HEIGHT, MARGIN = 250, 70, 8, 20, 106, 20
-LETTERS_A_LINE = 40
+BOX_WIDTH, BOX_HEIGHT, LANE_WIDTH, GAP, FLOOR_HEIGHT, MARGIN = 226, 88, 6, 16, 122, 14
+LETTERS_A_LINE = 30
 # Colour of a room by the first part of its name.
 COLOURS = {"estimators": "#dfecfb", "ros": "#e3f4de", "softtissue_training": "#fdf0dc"}
 PLAIN, EDGE, ARROW = "#f2f3f5", "#8a97a6", "#6b7a8c"
@@ -190,13 +190,13 @@ def box(room: Place, x: float, y: float) -> list[str]:
     """Box of a room about a point: its name, and what it is for."""
     colour = COLOURS.get(room.name.partition(".")[0], PLAIN)
     lines = textwrap.wrap(docstring(room.name), LETTERS_A_LINE)
-    top = y - 7 * len(lines) + 4
+    top = y - 8 * len(lines) + 6
     return [
         f'<rect x="{x - BOX_WIDTH / 2:.0f}" y="{y - BOX_HEIGHT / 2:.0f}" width="{BOX_WIDTH}" height="{BOX_HEIGHT}" '
         f'rx="6" fill="{colour}" stroke="{EDGE}"/>',
-        f'<text x="{x:.0f}" y="{top:.0f}" font-size="13" font-weight="bold">{escape(room.name)}</text>',
+        f'<text x="{x:.0f}" y="{top:.0f}" font-size="15" font-weight="bold">{escape(room.name)}</text>',
         *(
-            f'<text x="{x:.0f}" y="{top + 14 * (number + 1):.0f}" font-size="10.5">{escape(line)}</text>'
+            f'<text x="{x:.0f}" y="{top + 16 * (number + 1):.0f}" font-size="12.5">{escape(line)}</text>'
             for number, line in enumerate(lines)
         ),
     ]
