@@ -17,6 +17,7 @@ from draw_rooms import CORE, ROOT, docstring, floors_of_core, smallest_room, sou
 # Files of the repository's root that are pages of the site, and their names there.
 ROOT_PAGES = {"README.md": "index.md", "CHANGELOG.md": "changelog.md"}
 API = "reference/api"
+FILES = re.compile(r"<!-- files: (\S+) -->")
 LINK = re.compile(r"(\]\()([^)\s#:]+\.(?:md|svg|png))((?:#[^)\s]*)?\))")
 
 
@@ -29,7 +30,7 @@ def write_pages(folder: Path) -> None:
     }
     for source, place in (ROOT_PAGES | pages).items():
         text = (ROOT / source).read_text(encoding="utf-8")
-        (folder / place).write_text(fill_in_lists(links_on_site(text, source, place)), encoding="utf-8")
+        (folder / place).write_text(fill_in(links_on_site(text, source, place)), encoding="utf-8")
     (folder / API).mkdir()
     for room in rooms():
         (folder / API / f"{room}.md").write_text(page_of_room(room), encoding="utf-8")
@@ -51,12 +52,22 @@ def links_on_site(text: str, source: str, place: str) -> str:
     return LINK.sub(on_site, text)
 
 
-def fill_in_lists(text: str) -> str:
-    """Put the lists that comments stand for in their place."""
+def fill_in(text: str) -> str:
+    """Put what comments stand for in their place: lists, and the content of files, each below a heading."""
     for comment, content in (("<!-- public names -->", list_of_names), ("<!-- rooms -->", list_of_rooms)):
         if comment in text:
             text = text.replace(comment, content())
-    return text
+    return FILES.sub(lambda comment: content_of_files(comment[1]), text)
+
+
+def content_of_files(pattern: str) -> str:
+    """Files of the repository that match a pattern, as they are."""
+    paths = sorted(ROOT.glob(pattern))
+    if not paths:
+        raise FileNotFoundError(f"comment 'files: {pattern}': expected a file, found none")
+    language = {".yaml": "yaml"}.get(paths[0].suffix, "text")
+    blocks = [(path.name, path.read_text(encoding="utf-8").rstrip()) for path in paths]
+    return "\n\n".join(f"## {name}\n\n```{language}\n{content}\n```" for name, content in blocks)
 
 
 def rooms() -> list[str]:

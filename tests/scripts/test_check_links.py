@@ -99,3 +99,16 @@ def test_command_fails_with_a_sentence_for_each_problem(pages):
 
 def test_links_of_this_repository_hold(capsys):
     assert check_links.main([]) == 0, capsys.readouterr().err
+
+
+def test_every_page_is_reached_from_the_readme():
+    reached = [ROOT / "README.md"]
+    for page in reached:
+        targets = [
+            target.partition("#")[0] for _, target in check_links.links(page.read_text(encoding="utf-8"))
+        ]
+        pages = {(page.parent / target).resolve() for target in targets if target.endswith(".md")}
+        reached += sorted(pages - set(reached))
+    assert sorted((ROOT / "docs").rglob("*.md")) == sorted(
+        page for page in reached if ROOT / "docs" in page.parents
+    )

@@ -57,6 +57,15 @@ def test_public_names_are_those_of_the_package(site_pages):
     assert all(line for _, line in names.values())
 
 
+def test_comments_stand_for_the_content_of_files(site_pages):
+    text = site_pages.fill_in("before\n\n<!-- files: softtissue_msgs/srv/*.srv -->\n\nafter\n")
+    headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
+    assert headings == sorted(path.name for path in (ROOT / "softtissue_msgs" / "srv").iterdir())
+    assert (ROOT / "softtissue_msgs" / "srv" / headings[0]).read_text().rstrip() in text
+    with pytest.raises(FileNotFoundError, match="no/where"):
+        site_pages.fill_in("<!-- files: no/where -->")
+
+
 @pytest.mark.timeout(300)
 def test_site_is_in_order_and_fetches_nothing(tmp_path):
     pytest.importorskip("mkdocs", reason="the packages of requirements-docs.txt are not installed")
