@@ -42,17 +42,29 @@ SOURCES = {
 def anchors(text: str) -> set[str]:
     """Anchors of a page that are the same on Git hosts and on the site: of headings, and those written as HTML.
 
-    A second heading of the same name has none: hosts and the site count them differently.
+    A second heading of the same name has none, because hosts and the site count them differently, and neither has one
+    whose letters or hyphens they treat differently.
     """
     text = CODE_BLOCK.sub("", text)
-    return {slug_of(title) for title in HEADING.findall(text)} | set(HTML_ANCHOR.findall(text))
+    plain = [plain_text(title) for title in HEADING.findall(text)]
+    slugs = {title: (slug_on_hosts(title), slug_on_site(title)) for title in plain}
+    return {host for host, site in slugs.values() if host == site} | set(HTML_ANCHOR.findall(text))
 
 
-def slug_of(title: str) -> str:
-    """Anchor of a heading: letters, digits and hyphens, without what formats it."""
-    plain = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", title).replace("`", "").replace("*", "")
-    plain = unicodedata.normalize("NFC", plain).lower()
-    return re.sub(r" ", "-", re.sub(r"[^\w\- ]", "", plain))
+def plain_text(title: str) -> str:
+    """Words of a heading, without what formats them."""
+    return re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", title).replace("`", "").replace("*", "").strip()
+
+
+def slug_on_hosts(title: str) -> str:
+    """Anchor that Git hosts make of a heading: a hyphen for each space, other signs dropped."""
+    return re.sub(r"[^\w\- ]", "", unicodedata.normalize("NFC", title).lower()).replace(" ", "-")
+
+
+def slug_on_site(title: str) -> str:
+    """Anchor that Python-Markdown makes of it: ASCII alone, one hyphen for any number of spaces and hyphens."""
+    ascii_title = unicodedata.normalize("NFKD", title).encode("ascii", "ignore").decode("ascii")
+    return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", ascii_title).strip().lower())
 
 
 def links(text: str) -> list[tuple[int, str]]:

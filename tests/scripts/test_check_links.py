@@ -17,7 +17,8 @@ def pages(tmp_path):
     """A folder with a page of headings and a picture; no repository."""
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs" / "there.md").write_text(
-        "# What is `node`?\n\n```\n# no heading\n```\n## Limits & more\n"
+        "# What is `node`?\n\n```\n# no heading\n```\n## Limits, more\n## Rock & Röntgen\n",
+        encoding="utf-8",
     )
     (tmp_path / "docs" / "picture.png").write_bytes(b"")
     return tmp_path
@@ -34,7 +35,7 @@ def broken(pages, text):
     [
         "[a](docs/there.md)",
         "[a](docs/there.md#what-is-node)",
-        "[a](docs/there.md#limits--more)",
+        "[a](docs/there.md#limits-more)",
         "[a](docs)",
         "![a](docs/picture.png)",
         "[![a](docs/picture.png)](docs/there.md)",
@@ -77,6 +78,13 @@ def test_links_that_lead_nowhere_are_named(pages, link, reason):
 def test_second_heading_of_a_name_has_no_anchor_that_holds_everywhere(pages):
     text = "# Twice\n# Twice\n[a](#twice) [b](#twice-1) [c](#twice_1)\n"
     assert [problem.split(": ")[1] for problem in broken(pages, text)] == ["#twice-1", "#twice_1"]
+
+
+def test_heading_that_host_and_site_spell_differently_has_no_anchor(pages):
+    text = "[a](docs/there.md#rock--röntgen) [b](docs/there.md#rock-rontgen)\n"
+    assert [problem.rpartition(": ")[2] for problem in broken(pages, text)] == [
+        "the page has no such heading"
+    ] * 2
 
 
 def test_pages_that_sources_name_must_exist(pages):
