@@ -24,7 +24,7 @@ BUILD_INPUTS := scripts/build_workspace scripts/env.sh \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: bench bench-gpu build clean demo distclean format help lint test venv verify
+.PHONY: bench bench-gpu build clean demo distclean docs format help lint test venv verify
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -52,6 +52,12 @@ verify: $(VENV_STAMP) ## the physics alone: tests/verification; needs no built w
 
 lint: $(VENV_STAMP) ## every check of .pre-commit-config.yaml (ruff, mypy --strict, ...); needs no built workspace
 	@.venv/bin/pre-commit run --all-files --color=auto
+
+docs: $(VENV_STAMP) ## the site of the documents, out/site; whatever is not in order fails
+	@echo "==> Making the site of the documents"
+	@.venv/bin/python scripts/draw_rooms.py
+	@.venv/bin/python scripts/site_pages.py
+	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 
 format: $(VENV_STAMP) ## let ruff format the sources and mend what it can
 	@.venv/bin/ruff check --fix .

@@ -138,7 +138,7 @@ for name in {names!r}:
 
 def test_documents_name_files_that_exist():
     named = r"\b(?:tests|training|softtissue_estimator)/[\w/]+\.py\b"
-    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     found = {name for page in pages for name in re.findall(named, page.read_text(encoding="utf-8"))}
     places = (ROOT, ROOT / "softtissue_estimator")
     assert len(found) > 10

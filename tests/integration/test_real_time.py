@@ -97,7 +97,7 @@ def test_parameters_and_services_answer_while_inference_runs(folder, tmp_path):
     # Alone on two cores it is most of the time; receiving 300 clouds a second takes its share where others compute too.
     assert sum(estimates) > 0.1 * ASKING_S, "inference was at work while it was asked"
     for name, seconds in waited.items():
-        # Half of them, because a test shares its cores with others; docs/realtime.md has the largest.
+        # Half of them, because a test shares its cores with others; docs/reference/numbers.md has the largest.
         assert np.median(seconds) < 0.05, f"{name}: {np.sort(seconds).round(4)}"
 
 

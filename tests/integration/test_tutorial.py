@@ -1,4 +1,4 @@
-"""The commands of docs/tutorial.md, run as they stand there."""
+"""The commands of docs/tutorials/train_your_own.md, run as they stand there."""
 
 import csv
 import itertools
@@ -15,9 +15,8 @@ import pytest
 from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
 
 ROOT = Path(__file__).parents[2]
-BLOCKS = re.findall(
-    r"^```bash\n(.*?)^```", (ROOT / "docs" / "tutorial.md").read_text(), re.MULTILINE | re.DOTALL
-)
+TUTORIAL = ROOT / "docs" / "tutorials" / "train_your_own.md"
+BLOCKS = re.findall(r"^```bash\n(.*?)^```", TUTORIAL.read_text(), re.MULTILINE | re.DOTALL)
 COMMANDS = [line for line in "".join(BLOCKS).replace("\\\n", "").splitlines() if line]
 NODE = "ros2 run softtissue_estimator node"
 

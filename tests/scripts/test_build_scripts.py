@@ -1,7 +1,6 @@
 """The scripts that set up the build say what is missing, and can be run twice."""
 
 import ctypes
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -11,14 +10,9 @@ from pathlib import Path
 import numpy
 import pytest
 
+from scripts.loading import load_script
+
 SCRIPTS = Path(__file__).parents[2] / "scripts"
-
-
-def load(name: str):
-    spec = importlib.util.spec_from_file_location(name, SCRIPTS / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture
@@ -69,7 +63,7 @@ def test_complete_machine_passes(tools):
 
 
 def test_cmake_files_name_this_machine_after_one_pass(tmp_path):
-    patcher = load("patch_ros_wheels")
+    patcher = load_script("patch_ros_wheels")
     path = tmp_path / "share" / "package" / "targets.cmake"
     path.parent.mkdir(parents=True)
     path.write_text(
@@ -98,7 +92,7 @@ def compile_library(path, source, *libraries):
 
 
 def test_library_loads_without_those_it_does_not_call(tmp_path):
-    mender = load("free_gmsh_of_window")
+    mender = load_script("free_gmsh_of_window")
     window, mesher = tmp_path / "libsofttissue_window.so.7", tmp_path / "libsofttissue_mesher.so"
     compile_library(window, 'extern "C" int draw() { return 1; }')
     compile_library(
@@ -116,7 +110,7 @@ def test_library_loads_without_those_it_does_not_call(tmp_path):
 
 
 def test_library_that_lacks_nothing_is_left_alone(tmp_path):
-    mender = load("free_gmsh_of_window")
+    mender = load_script("free_gmsh_of_window")
     library = tmp_path / "libsofttissue_whole.so"
     compile_library(library, 'extern "C" int mesh(int n) { return 2 * n; }')
     before = library.read_bytes()

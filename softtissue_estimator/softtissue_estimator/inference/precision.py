@@ -13,8 +13,8 @@ def choose_precision(name: str, device: torch.device) -> torch.dtype:
     """Return the format for the parameter `precision`.
 
     'auto' is float16 where the device computes in it and float32 elsewhere. It is never bfloat16, whose 8 bits move
-    the bundled weights' answers by more than 0.05 mm (docs/inference.md). The networks' activations are bounded or
-    normalised, so that float16's range is wide enough for them.
+    the bundled weights' answers by more than 0.05 mm (docs/explanation/networks.md). The networks' activations are
+    bounded or normalised, so that float16's range is wide enough for them.
 
     Raises
     ------

@@ -137,7 +137,7 @@ def make_organ(
 
 
 def load_organ(folder: Path) -> Organ:
-    """Read an organ folder; `docs/architecture.md` describes `organ.yaml`.
+    """Read an organ folder; `docs/reference/organ_files.md` describes `organ.yaml`.
 
     Raises
     ------

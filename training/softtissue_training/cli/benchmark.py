@@ -21,7 +21,7 @@ def add(commands: Commands) -> None:
         "a fixed list of conditions (noise, few points, wrong attachment, other materials, several loads), and write "
         "DIR/benchmark.json, DIR/benchmark.md, DIR/samples.csv and DIR/figures. The same command again goes on where "
         "it was stopped; simulations and answers that are there are used again.",
-        epilog="docs/benchmark.md says what each condition is.",
+        epilog="docs/reference/benchmark.md says what each condition is.",
     )
     benchmark.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of everything")
     benchmark.add_argument(

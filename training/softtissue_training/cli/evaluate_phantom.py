@@ -18,7 +18,7 @@ def add(experiments: Commands) -> None:
         description="Compare estimators on a phantom: an organ, what was observed of its surface after a deformation "
         "(correspondences, or the surface alone), and markers inside it. Writes OUT/report.html, report.json and "
         "report.csv.",
-        epilog="What a case's folder holds, and how to make one with 3D Slicer: docs/experiment_phantom.md.",
+        epilog="What a case's folder holds, and how to make one with 3D Slicer: docs/how-to/evaluate_phantom.md.",
     )
     phantom.add_argument(
         "case", type=Path, nargs="?", metavar="CASE", help="folder of the case (default: the bundled phantom)"

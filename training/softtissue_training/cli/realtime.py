@@ -20,7 +20,7 @@ def add(commands: Commands) -> None:
         "points and rate, and every stage alone, beside what it replaces: naive message paths and finite elements. "
         "Writes DIR/bench.json and DIR/bench.md. After an interruption the same command goes on where it was. "
         "Needs the built workspace; nothing else should run on the machine meanwhile.",
-        epilog="docs/realtime.md says what is measured and holds the results.",
+        epilog="docs/reference/realtime.md says what is measured, docs/reference/numbers.md holds results.",
     )
     realtime.add_argument(
         "--out", type=Path, default=Path("out/bench"), metavar="DIR", help="(default: %(default)s)"

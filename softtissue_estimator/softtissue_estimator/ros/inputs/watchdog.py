@@ -2,7 +2,7 @@
 
 TRANSPORT_HINT = (
     "set FASTDDS_DEFAULT_PROFILES_FILE to this package's config/fastdds_profile.xml where they are published"
-    " (docs/transport.md)"
+    " (docs/how-to/large_clouds.md)"
 )
 
 

@@ -95,7 +95,7 @@ class PhantomCase:
 
 
 def load_phantom_case(folder: Path) -> PhantomCase:
-    """Read a case's folder; `docs/experiment_phantom.md` says what belongs into it.
+    """Read a case's folder; `docs/reference/case_folders.md` says what belongs into it.
 
     Raises
     ------
