@@ -1,9 +1,10 @@
 """What all tests share: caches go to a folder of the test run, never to the user's; data that others recorded."""
 
-import os
 from pathlib import Path
 
 import pytest
+
+from recorded_data import RECORDED
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -16,8 +17,6 @@ def _own_cache(tmp_path_factory):
 @pytest.fixture(scope="session")
 def test_data() -> Path:
     """Folder with organs and clouds that others recorded; the test is skipped without it."""
-    default = Path(__file__).parents[2] / "shared" / "data"
-    folder = Path(os.environ.get("SOFTTISSUE_TEST_DATA", default))
-    if not folder.is_dir():
-        pytest.skip(f"no test data in {folder} (set SOFTTISSUE_TEST_DATA)")
-    return folder
+    if not RECORDED.is_dir():
+        pytest.skip(f"no test data in {RECORDED} (set SOFTTISSUE_TEST_DATA)")
+    return RECORDED

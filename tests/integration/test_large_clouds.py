@@ -7,7 +7,6 @@ import itertools
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
 from integration.harness import Client, NodeProcess, Scene, executable, nanoseconds, new_domain, write_organ
+from recorded_data import RECORDED
 from softtissue_estimator.ros.inputs.watchdog import TRANSPORT_HINT
 
 SOAK_S = float(os.environ.get("SOFTTISSUE_SOAK_S", "10"))
@@ -57,9 +57,7 @@ def test_every_large_cloud_is_answered_or_counted(folder, tmp_path):
 
 
 def recorded_bags():
-    data = (
-        Path(os.environ.get("SOFTTISSUE_TEST_DATA", Path(__file__).parents[3] / "shared" / "data")) / "bags"
-    )
+    data = RECORDED / "bags"
     return [
         pytest.param(data / "realsense_d435_20_clouds.mcap", 20, id="mcap"),
         pytest.param(data / "realsense_d435_3_clouds_sqlite3", 3, id="sqlite3"),

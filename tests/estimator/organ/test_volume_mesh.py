@@ -6,8 +6,8 @@ import trimesh
 
 from estimator.shapes import box_tets, ellipsoid
 from softtissue_estimator.errors import MeshError
+from softtissue_estimator.organ import volume_mesh
 from softtissue_estimator.organ.mesh import SurfaceMesh, enclosed_volume
-from softtissue_estimator.organ.organ import volume_mesh
 from softtissue_estimator.organ.volume_mesh import clean_tets, tetrahedralise
 
 BOX = box_tets()
