@@ -1,16 +1,22 @@
-"""What all tests share: caches go to a folder of the test run, never to the user's; data that others recorded."""
+"""What all tests share: a cache and a ROS domain that are not the user's, data that others recorded."""
 
+import os
 from pathlib import Path
 
 import pytest
 
 from recorded_data import RECORDED
+from ros_domain import environment_of, reserved
 
 
 @pytest.fixture(autouse=True, scope="session")
-def _own_cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+def _own_surroundings(tmp_path_factory):
+    """Caches in a folder of the run, which all its processes share, and a ROS domain for this process."""
+    folder = tmp_path_factory.getbasetemp()
+    cache = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "cache"
+    with reserved() as domain, pytest.MonkeyPatch.context() as patch:
+        for name, value in {"XDG_CACHE_HOME": str(cache), **environment_of(domain)}.items():
+            patch.setenv(name, value)
         yield
 
 
