@@ -5,8 +5,25 @@ from pathlib import Path
 
 import pytest
 
+from machine import AlonePlugin
 from recorded_data import RECORDED
 from ros_domain import environment_of, reserved
+
+MOST_WORKERS = 4  # each takes a gigabyte of memory
+
+
+def pytest_xdist_auto_num_workers(config):
+    """With `-n auto`: as many processes as there are cores; one for a single file, or to show what tests print."""
+    one_file = len(config.args) == 1 and not Path(config.args[0]).is_dir()
+    cores = len(os.sched_getaffinity(0))
+    return 0 if one_file or cores == 1 or config.option.capture == "no" else min(cores, MOST_WORKERS)
+
+
+def pytest_configure(config):
+    config.pluginmanager.register(AlonePlugin())
+    if config.getoption("numprocesses", None):
+        # For the processes to come: beside each other they would only wait for each other's threads.
+        os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -29,6 +29,7 @@ def folder(tmp_path_factory):
     return write_organ(tmp_path_factory.mktemp("organ"))
 
 
+@pytest.mark.alone
 @pytest.mark.timeout(120 + 2 * SOAK_S)
 def test_every_large_cloud_is_answered_or_counted(folder, tmp_path, domain):
     scene = Scene(folder, points=40_000)

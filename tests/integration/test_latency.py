@@ -140,6 +140,7 @@ def test_clouds_of_one_period_move_and_come_back(folder):
     assert all(np.array_equal(cloud.reference, clouds[0].reference) for cloud in clouds)
 
 
+@pytest.mark.alone
 def test_naive_paths_do_the_same_and_take_longer(folder):
     organ = load_organ(folder)
     for row in (time_cloud(organ, 2000), time_answer(organ)):
@@ -166,6 +167,7 @@ SMALL = RealtimePlan(
 )
 
 
+@pytest.mark.alone
 @pytest.mark.timeout(120)
 def test_small_benchmark_through_real_processes(tmp_path, monkeypatch, capfd, environment):
     for name, value in environment.items():

@@ -63,6 +63,7 @@ class Stream:
                 return
 
 
+@pytest.mark.alone
 def test_parameters_and_services_answer_while_inference_runs(folder, tmp_path, domain):
     scene = Scene(folder, points=1000)
     parameters = {"organ": folder, "estimator": "paper", "frame_budget_s": 60.0}
@@ -99,6 +100,7 @@ def test_parameters_and_services_answer_while_inference_runs(folder, tmp_path, d
         assert np.median(seconds) < 0.05, f"{name}: {np.sort(seconds).round(4)}"
 
 
+@pytest.mark.alone
 @pytest.mark.timeout(120 + 2 * SOAK_S)
 def test_sixty_clouds_a_second(folder, tmp_path, domain):
     scene = Scene(folder, points=10_000)

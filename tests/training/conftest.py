@@ -8,14 +8,13 @@ import pytest
 from softtissue_training.simulation.archive import record_name, write_record
 from softtissue_training.simulation.record_format import format_record
 from softtissue_training.simulation.sample import Record, Sample
-from softtissue_training.simulation.simulate import simulate
-from training.coarse import COARSE, LINEAR
+from training.coarse import LINEAR, coarse_records
 
 
 @pytest.fixture(scope="session")
 def records() -> list[Record]:
     """Six organs with coarse elements, one load case each."""
-    return [simulate(3, number, COARSE) for number in range(6)]
+    return list(coarse_records())
 
 
 @pytest.fixture(scope="session")
