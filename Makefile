@@ -44,7 +44,7 @@ bench-gpu: $(BUILD_STAMP) ## the same on an NVIDIA GPU, out/bench_gpu/bench.json
 
 test: $(BUILD_STAMP) ## all tests, in the built workspace
 	@echo "==> Running the tests"
-	@scripts/run --alone python -m pytest -ra $(PYTEST_ARGS) $(TESTS)
+	@scripts/run python -m pytest -ra -n auto --dist worksteal $(PYTEST_ARGS) $(TESTS)
 
 verify: $(VENV_STAMP) ## the physics alone: tests/verification; needs no built workspace
 	@echo "==> Verifying the simulations"

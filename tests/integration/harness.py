@@ -1,13 +1,10 @@
 """Real processes and real DDS for the tests: start the installed node, talk to it, wait on conditions."""
 
 import contextlib
-import fcntl
-import itertools
 import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -25,13 +22,9 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 from softtissue_msgs.msg import Correspondences, EstimatorStatus
 
+from ros_domain import environment_of
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.ros.inputs.transport import use_profile
-
-# `make demo` and `make test` themselves run in 1 to 100.
-DOMAINS = range(101, 201)
-_next = itertools.count(7 * os.getpid())
-_held: list[int] = []  # locks of the domains that this run uses; the system lets go of them at its end
 
 ORGAN_YAML = """
 name: Test organ
@@ -44,22 +37,6 @@ structures:
 attached:
   spheres: [{{centre: [-60, 0, 0], radius: 35}}]
 """
-
-
-def new_domain() -> int:
-    """A ROS domain that no other test uses, not even of another run on this machine."""
-    for _ in DOMAINS:
-        domain = DOMAINS[next(_next) % len(DOMAINS)]
-        path = Path(tempfile.gettempdir()) / f"softtissue-test-domain-{domain}"
-        lock = os.open(path, os.O_CREAT | os.O_RDWR, 0o666)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            os.close(lock)
-            continue
-        _held.append(lock)
-        return domain
-    raise RuntimeError(f"expected a free ROS domain in {DOMAINS}, got none")
 
 
 def executable(name: str) -> Path:
@@ -98,8 +75,7 @@ class NodeProcess:
         for rule in remap:
             command += ["-r", rule]
         environment = os.environ | {
-            "ROS_DOMAIN_ID": str(domain),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            **environment_of(domain),
             "OMP_NUM_THREADS": "1",
             "PYTHONUNBUFFERED": "1",
         }

@@ -1,7 +1,6 @@
 """The main job on the bundled phantom, as `make demo` does it, at twice the recorded rate."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -12,13 +11,9 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from integration.harness import executable, new_domain
+from integration.harness import executable
 
 DEMO = [sys.executable, "-m", "softtissue_estimator.ros.tools.demo"]
-
-
-def environment():
-    return os.environ | {"ROS_DOMAIN_ID": str(new_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
 def processes_of(name):
@@ -28,10 +23,10 @@ def processes_of(name):
 
 
 @pytest.mark.timeout(300)
-def test_demo_reports_frames_latency_and_error(tmp_path):
+def test_demo_reports_frames_latency_and_error(tmp_path, environment):
     out = tmp_path / "out"
     command = [*DEMO, "--estimator", "elastic", "--rate", "2", "--out", str(out)]
-    result = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
     report = json.loads((out / "report.json").read_text())
     frames, latency, errors = report["frames"], report["latency_ms"], report["tre_mm"]
@@ -48,18 +43,18 @@ def test_demo_reports_frames_latency_and_error(tmp_path):
     assert processes_of(str(out)) == []
 
 
-def test_demo_without_a_bag_says_so(tmp_path):
+def test_demo_without_a_bag_says_so(tmp_path, environment):
     command = [*DEMO, "--bag", str(tmp_path / "nothing"), "--out", str(tmp_path / "out")]
-    result = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert result.returncode == 1
     assert "expected a bag folder" in result.stderr and "Traceback" not in result.stderr
 
 
-def test_interrupted_demo_leaves_no_processes(tmp_path):
+def test_interrupted_demo_leaves_no_processes(tmp_path, environment):
     out = tmp_path / "out"
     command = [*DEMO, "--estimator", "elastic", "--out", str(out)]
     demo = subprocess.Popen(
-        command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     )
     end = time.monotonic() + 60.0
     while len(processes_of(str(out))) < 2:
@@ -80,8 +75,8 @@ def test_interrupted_demo_leaves_no_processes(tmp_path):
         ("score", ["--snapshot", "x.npz"], "expected --organ"),
     ],
 )
-def test_wrong_arguments_are_one_sentence_and_exit_code_2(program, arguments, words):
+def test_wrong_arguments_are_one_sentence_and_exit_code_2(program, arguments, words, environment):
     command = [str(executable(program)), *arguments]
-    result = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert result.returncode == 2
     assert words in result.stderr and "Traceback" not in result.stderr

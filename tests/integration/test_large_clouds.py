@@ -7,7 +7,6 @@ import itertools
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,9 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from integration.harness import Client, NodeProcess, Scene, executable, nanoseconds, new_domain, write_organ
+from integration.harness import Client, NodeProcess, Scene, executable, nanoseconds, write_organ
+from recorded_data import RECORDED
+from ros_domain import environment_of
 from softtissue_estimator.ros.inputs.watchdog import TRANSPORT_HINT
 
 SOAK_S = float(os.environ.get("SOFTTISSUE_SOAK_S", "10"))
@@ -28,9 +29,9 @@ def folder(tmp_path_factory):
     return write_organ(tmp_path_factory.mktemp("organ"))
 
 
+@pytest.mark.alone
 @pytest.mark.timeout(120 + 2 * SOAK_S)
-def test_every_large_cloud_is_answered_or_counted(folder, tmp_path):
-    domain = new_domain()
+def test_every_large_cloud_is_answered_or_counted(folder, tmp_path, domain):
     scene = Scene(folder, points=40_000)
     cloud, pairs = scene.bare_cloud(0), scene.pairs(0)
     pairs.sigma = [0.001] * len(scene.points)
@@ -57,9 +58,7 @@ def test_every_large_cloud_is_answered_or_counted(folder, tmp_path):
 
 
 def recorded_bags():
-    data = (
-        Path(os.environ.get("SOFTTISSUE_TEST_DATA", Path(__file__).parents[3] / "shared" / "data")) / "bags"
-    )
+    data = RECORDED / "bags"
     return [
         pytest.param(data / "realsense_d435_20_clouds.mcap", 20, id="mcap"),
         pytest.param(data / "realsense_d435_3_clouds_sqlite3", 3, id="sqlite3"),
@@ -67,10 +66,9 @@ def recorded_bags():
 
 
 @pytest.mark.parametrize(("bag", "messages"), recorded_bags())
-def test_recorded_bag_of_a_real_camera_is_replayed_and_read(folder, tmp_path, bag, messages):
+def test_recorded_bag_of_a_real_camera_is_replayed_and_read(folder, tmp_path, bag, messages, domain):
     if not bag.exists():
         pytest.skip(f"no recorded bag at {bag}")
-    domain = new_domain()
     replay = [executable("replay"), bag]
     rename = ["/point_cloud:=surface_points"]
     with NodeProcess(domain, tmp_path, {"organ": folder}) as node, Client(domain) as client:
@@ -130,13 +128,8 @@ for number in range(60):
 """
 
 
-def test_clouds_lost_for_want_of_the_profile_are_noticed(folder, tmp_path):
-    domain = new_domain()
-    environment = os.environ | {
-        "FASTDDS_DEFAULT_PROFILES_FILE": "",
-        "ROS_DOMAIN_ID": str(domain),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
+def test_clouds_lost_for_want_of_the_profile_are_noticed(folder, tmp_path, domain):
+    environment = os.environ | environment_of(domain) | {"FASTDDS_DEFAULT_PROFILES_FILE": ""}
     with NodeProcess(domain, tmp_path, {"organ": folder}) as node, Client(domain) as client:
         client.wait_until_connected()
         camera = subprocess.Popen([sys.executable, "-c", DEFAULT_TRANSPORT], env=environment)

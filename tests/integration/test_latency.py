@@ -16,7 +16,7 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
-from integration.harness import executable, new_domain, write_organ
+from integration.harness import executable, write_organ
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.ros.inputs.conversions import read_cloud
 from softtissue_estimator.ros.tools.latency.clouds import moving_clouds
@@ -28,10 +28,6 @@ from softtissue_training.evaluation.realtime.report import bench_summary, markdo
 from softtissue_training.evaluation.realtime.run import run_realtime
 
 MS = 1_000_000
-
-
-def environment():
-    return os.environ | {"ROS_DOMAIN_ID": str(new_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
 def status(stamp, answered, counts, **stages):
@@ -144,6 +140,7 @@ def test_clouds_of_one_period_move_and_come_back(folder):
     assert all(np.array_equal(cloud.reference, clouds[0].reference) for cloud in clouds)
 
 
+@pytest.mark.alone
 def test_naive_paths_do_the_same_and_take_longer(folder):
     organ = load_organ(folder)
     for row in (time_cloud(organ, 2000), time_answer(organ)):
@@ -170,9 +167,10 @@ SMALL = RealtimePlan(
 )
 
 
+@pytest.mark.alone
 @pytest.mark.timeout(120)
-def test_small_benchmark_through_real_processes(tmp_path, monkeypatch, capfd):
-    for name, value in environment().items():
+def test_small_benchmark_through_real_processes(tmp_path, monkeypatch, capfd, environment):
+    for name, value in environment.items():
         monkeypatch.setenv(name, value)
     summary = bench_summary(run_realtime(SMALL, tmp_path, print), "command", "today")
     plain, markers, services = summary["end_to_end"]
@@ -211,14 +209,14 @@ def test_small_benchmark_through_real_processes(tmp_path, monkeypatch, capfd):
     assert sum("kept from" in text for text in said) == 3
 
 
-def test_wrong_arguments_are_one_sentence_and_exit_code_2():
+def test_wrong_arguments_are_one_sentence_and_exit_code_2(environment):
     for arguments, words in (
         (["--rates", "0"], "--rates and --seconds above 0"),
         (["--organ", "nowhere"], "nowhere"),
         (["--parameter", "tracking"], "NAME:=VALUE"),
     ):
         command = [str(executable("latency")), *arguments]
-        result = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
+        result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         assert result.returncode == 2
         assert words in result.stderr and "Traceback" not in result.stderr
 
@@ -231,10 +229,10 @@ def command_lines():
 
 
 @pytest.mark.timeout(60)
-def test_interrupted_run_leaves_no_processes(folder, tmp_path):
+def test_interrupted_run_leaves_no_processes(folder, tmp_path, environment):
     command = [str(executable("latency")), "--organ", str(folder), "--seconds", "60"]
     tool = subprocess.Popen(
-        command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     for line in tool.stdout:
         if "loading organ" in line:

@@ -14,11 +14,11 @@ from integration.harness import (
     NodeProcess,
     Scene,
     cloud_message,
-    new_domain,
     read_answer,
     registration_message,
     write_organ,
 )
+from ros_domain import reserved
 
 stamps = itertools.count(1_700_000_000_123_456_789, 100_000_000)
 OK, DEGRADED, INVALID = 0, 1, 2
@@ -37,7 +37,6 @@ def scene(folder):
 @pytest.fixture(scope="module")
 def running(folder, tmp_path_factory):
     """A node on a small organ, and a client of it; shared by the tests of this file."""
-    domain = new_domain()
     # Answers are compared with each other here, so that none may depend on the one before.
     parameters = {
         "organ": folder,
@@ -45,7 +44,11 @@ def running(folder, tmp_path_factory):
         "frame_budget_s": 10.0,
         "tracking": False,
     }
-    with NodeProcess(domain, tmp_path_factory.mktemp("node"), parameters) as node, Client(domain) as client:
+    with (
+        reserved() as domain,
+        NodeProcess(domain, tmp_path_factory.mktemp("node"), parameters) as node,
+        Client(domain) as client,
+    ):
         client.wait_until_connected()
         yield node, client
         assert node.process.poll() is None, node.text

@@ -25,11 +25,11 @@ from integration.harness import (
     NodeProcess,
     Scene,
     nanoseconds,
-    new_domain,
     read_answer,
     registration_message,
     write_organ,
 )
+from ros_domain import reserved
 
 stamps = itertools.count(1_700_000_000_000_000_000, 50_000_000)
 SLOW = [sys.executable, str(Path(__file__).with_name("slow_node.py"))]
@@ -60,8 +60,8 @@ def slow(folder, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signal_when_idle_ends_with_zero(slow, number):
-    with slow(new_domain(), 0.0) as node:
+def test_signal_when_idle_ends_with_zero(slow, number, domain):
+    with slow(domain, 0.0) as node:
         node.wait_for_text("answering clouds")
         assert node.stop(number) == 0
         assert "Traceback" not in node.text and "Error" not in node.text
@@ -69,8 +69,7 @@ def test_signal_when_idle_ends_with_zero(slow, number):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("estimate_s", [0.5, 30.0], ids=["short", "endless"])
-def test_signal_during_an_estimate_and_callbacks_ends_with_zero(slow, scene, number, estimate_s):
-    domain = new_domain()
+def test_signal_during_an_estimate_and_callbacks_ends_with_zero(slow, scene, number, estimate_s, domain):
     with slow(domain, estimate_s) as node, Client(domain) as client:
         client.wait_until_connected()
         # A stream, so that the signal meets callbacks as well as the estimate.
@@ -85,16 +84,15 @@ def test_signal_during_an_estimate_and_callbacks_ends_with_zero(slow, scene, num
         assert "Traceback" not in node.text and "Error" not in node.text
 
 
-def test_signal_while_an_organ_loads_ends_with_zero(slow, monkeypatch):
+def test_signal_while_an_organ_loads_ends_with_zero(slow, monkeypatch, domain):
     monkeypatch.setenv("SLOW_LOAD_S", "60")
-    with slow(new_domain(), 0.0) as node:
+    with slow(domain, 0.0) as node:
         node.wait_for_text("slow to load")
         assert node.stop(signal.SIGTERM) == 0
         assert "Traceback" not in node.text
 
 
-def test_life_cycle_by_services(slow, scene, folder, tmp_path):
-    domain = new_domain()
+def test_life_cycle_by_services(slow, scene, folder, tmp_path, domain):
     with slow(domain, 0.0, autostart=False) as node, Client(domain) as client:
 
         def change(transition):
@@ -143,8 +141,7 @@ def test_life_cycle_by_services(slow, scene, folder, tmp_path):
         assert "Traceback" not in node.text
 
 
-def test_newest_cloud_wins_and_every_cloud_is_counted(slow, scene):
-    domain = new_domain()
+def test_newest_cloud_wins_and_every_cloud_is_counted(slow, scene, domain):
     sent = []
     with slow(domain, 0.25) as _, Client(domain) as client:
         client.wait_until_connected()
@@ -163,8 +160,7 @@ def test_newest_cloud_wins_and_every_cloud_is_counted(slow, scene):
     assert 3 <= len(answered) <= 10  # 1.2 s of clouds at 0.25 s each
 
 
-def test_services_and_parameters_answer_while_an_estimate_runs(slow, scene):
-    domain = new_domain()
+def test_services_and_parameters_answer_while_an_estimate_runs(slow, scene, domain):
     with slow(domain, 5.0) as _, Client(domain) as client:
         client.wait_until_connected()
         client.clouds.publish(scene.cloud(next(stamps)))
@@ -181,9 +177,9 @@ def test_services_and_parameters_answer_while_an_estimate_runs(slow, scene):
 @pytest.fixture(scope="module")
 def elastic(folder, tmp_path_factory):
     """A node with the elastic estimator and its client, shared by the tests of the services."""
-    domain = new_domain()
     parameters = {"organ": folder, "estimator": "elastic"} | LENIENT
     with (
+        reserved() as domain,
         NodeProcess(domain, tmp_path_factory.mktemp("elastic"), parameters) as node,
         Client(domain) as client,
     ):
@@ -282,8 +278,7 @@ def test_load_organ_changes_the_organ_while_clouds_are_answered(elastic, scene, 
     client.answer_of(stamp)  # the organ from before is still at work
 
 
-def test_registration_kept_by_its_publisher_reaches_a_node_that_starts_later(slow, scene):
-    domain = new_domain()
+def test_registration_kept_by_its_publisher_reaches_a_node_that_starts_later(slow, scene, domain):
     with Client(domain) as client:
         client.node.destroy_publisher(client.registrations)
         kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -302,8 +297,7 @@ def test_registration_kept_by_its_publisher_reaches_a_node_that_starts_later(slo
             client.wait(answered, "answer to a registered cloud", 10.0)
 
 
-def test_announced_clouds_that_do_not_arrive_are_reported(slow):
-    domain = new_domain()
+def test_announced_clouds_that_do_not_arrive_are_reported(slow, domain):
     with slow(domain, 0.0, no_data_timeout_s=0.5) as node, Client(domain) as client:
         client.wait_until_connected()
         reason = client.wait(lambda: [s.reason for s in client.statuses if s.level == 2], "status", 10.0)[0]
@@ -311,7 +305,7 @@ def test_announced_clouds_that_do_not_arrive_are_reported(slow):
         node.wait_for_text("FASTDDS_DEFAULT_PROFILES_FILE", 5.0)
 
 
-def test_network_answers_with_weights_of_its_own(folder, scene, tmp_path):
+def test_network_answers_with_weights_of_its_own(folder, scene, tmp_path, domain):
     torch = pytest.importorskip("torch")
     from softtissue_estimator.estimators.paper.checkpoint import save_checkpoint
     from softtissue_estimator.estimators.paper.network import UNet, UNetArchitecture
@@ -322,7 +316,6 @@ def test_network_answers_with_weights_of_its_own(folder, scene, tmp_path):
     save_checkpoint(tmp_path / "small.safetensors", UNet(spec.architecture), spec, {})
     parameters = {"organ": folder, "estimator": "paper", "device": "cpu"} | LENIENT
     parameters["checkpoint"] = tmp_path / "small.safetensors"
-    domain = new_domain()
     with NodeProcess(domain, tmp_path, parameters) as node, Client(domain) as client:
         client.wait_until_connected()
         client.clouds.publish(scene.cloud(stamp := next(stamps)))

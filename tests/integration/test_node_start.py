@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from integration.harness import NodeProcess, new_domain, write_organ
+from integration.harness import NodeProcess, write_organ
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +37,9 @@ def damaged_organ(folder: Path, case: str) -> Path:
         ("damaged mesh", ["surface.ply"]),
     ],
 )
-def test_wrong_organ_at_start_is_one_sentence_and_exit_code_2(tmp_path, case, words):
+def test_wrong_organ_at_start_is_one_sentence_and_exit_code_2(tmp_path, case, words, domain):
     organ = damaged_organ(tmp_path / "organ", case)
-    with NodeProcess(new_domain(), tmp_path, {"organ": organ, "estimator": "elastic"}) as node:
+    with NodeProcess(domain, tmp_path, {"organ": organ, "estimator": "elastic"}) as node:
         assert node.wait(60.0) == 2
         errors = [line for line in node.text.splitlines() if "[INFO]" not in line]
         assert len(errors) == 1, node.text
@@ -70,11 +70,13 @@ def write_checkpoint_of_another_architecture(path):
     ],
     ids=["estimator", "range", "type", "no checkpoint", "damaged checkpoint", "other architecture"],
 )
-def test_wrong_parameter_at_start_is_one_sentence_and_exit_code_2(folder, tmp_path, parameters, words):
+def test_wrong_parameter_at_start_is_one_sentence_and_exit_code_2(
+    folder, tmp_path, parameters, words, domain
+):
     (tmp_path / "damaged.safetensors").write_bytes(b"\x10\x00\x00\x00\x00\x00\x00\x00{broken")
     write_checkpoint_of_another_architecture(tmp_path / "other.safetensors")
     given = {name: str(value).format(tmp=tmp_path) for name, value in parameters.items()}
-    with NodeProcess(new_domain(), tmp_path, {"organ": folder} | given) as node:
+    with NodeProcess(domain, tmp_path, {"organ": folder} | given) as node:
         assert node.wait(60.0) == 2
         errors = [line for line in node.text.splitlines() if "[INFO]" not in line]
         assert len(errors) == 1, node.text

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from integration.harness import new_domain
+from ros_domain import environment_of
 from softtissue_training.evaluation.methods import parse_methods
 from softtissue_training.experiments.phantom.case import load_phantom_case
 from softtissue_training.experiments.phantom.case_bag import write_case_bag
@@ -21,7 +21,7 @@ DEMO = [sys.executable, "-m", "softtissue_estimator.ros.tools.demo"]
 
 
 @pytest.mark.timeout(300)
-def test_node_and_offline_errors_of_a_case_are_the_same(tmp_path, monkeypatch):
+def test_node_and_offline_errors_of_a_case_are_the_same(tmp_path, monkeypatch, domain):
     # The 13 correspondences are spread over the surface; what that says comes with its own standard deviations.
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # both use the same tetrahedra
     case = load_phantom_case(write_case(tmp_path / "case", correspondences=13))
@@ -31,10 +31,7 @@ def test_node_and_offline_errors_of_a_case_are_the_same(tmp_path, monkeypatch):
     out = tmp_path / "out"
     arguments = ["--bag", str(tmp_path / "bag"), "--organ", str(tmp_path / "case"), "--out", str(out)]
     arguments += ["--estimator", "elastic", "--parameter", "tracking:=false"]
-    environment = os.environ | {
-        "ROS_DOMAIN_ID": str(new_domain()),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
+    environment = os.environ | environment_of(domain)
     result = subprocess.run([*DEMO, *arguments], env=environment, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
     report = json.loads((out / "report.json").read_text())["tre_mm"]

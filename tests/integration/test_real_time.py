@@ -22,7 +22,6 @@ from integration.harness import (
     NodeProcess,
     Scene,
     nanoseconds,
-    new_domain,
     stamp_message,
     write_organ,
 )
@@ -64,8 +63,8 @@ class Stream:
                 return
 
 
-def test_parameters_and_services_answer_while_inference_runs(folder, tmp_path):
-    domain = new_domain()
+@pytest.mark.alone
+def test_parameters_and_services_answer_while_inference_runs(folder, tmp_path, domain):
     scene = Scene(folder, points=1000)
     parameters = {"organ": folder, "estimator": "paper", "frame_budget_s": 60.0}
     with NodeProcess(domain, tmp_path, parameters) as node, Client(domain) as client:
@@ -101,9 +100,9 @@ def test_parameters_and_services_answer_while_inference_runs(folder, tmp_path):
         assert np.median(seconds) < 0.05, f"{name}: {np.sort(seconds).round(4)}"
 
 
+@pytest.mark.alone
 @pytest.mark.timeout(120 + 2 * SOAK_S)
-def test_sixty_clouds_a_second(folder, tmp_path):
-    domain = new_domain()
+def test_sixty_clouds_a_second(folder, tmp_path, domain):
     scene = Scene(folder, points=10_000)
     with (
         NodeProcess(domain, tmp_path, {"organ": folder, "frame_budget_s": 60.0}) as node,

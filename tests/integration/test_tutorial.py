@@ -68,7 +68,7 @@ def test_commands_lead_to_weights_and_their_evaluation(followed):
 
 
 @pytest.mark.timeout(600)
-def test_node_answers_with_the_trained_weights(followed, tmp_path):
+def test_node_answers_with_the_trained_weights(followed, tmp_path, domain):
     pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
     pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
     from integration.harness import (
@@ -76,7 +76,6 @@ def test_node_answers_with_the_trained_weights(followed, tmp_path):
         NodeProcess,
         Scene,
         executable,
-        new_domain,
         read_answer,
         write_organ,
     )
@@ -90,7 +89,7 @@ def test_node_answers_with_the_trained_weights(followed, tmp_path):
     organ = write_organ(tmp_path / "organ")
     scene = Scene(organ)
     parameters = {"organ": organ, "device": "cpu", "minimum_visible_fraction": 0.01, "frame_budget_s": 60.0}
-    domain, stamp = new_domain(), next(itertools.count(1_700_000_000_000_000_000))
+    stamp = next(itertools.count(1_700_000_000_000_000_000))
     program = [executable("node"), *command]
     with NodeProcess(domain, tmp_path, parameters, program) as node, Client(domain) as client:
         client.wait_until_connected()

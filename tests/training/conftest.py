@@ -6,18 +6,15 @@ import numpy as np
 import pytest
 
 from softtissue_training.simulation.archive import record_name, write_record
-from softtissue_training.simulation.recipe import Recipe
 from softtissue_training.simulation.record_format import format_record
 from softtissue_training.simulation.sample import Record, Sample
-from softtissue_training.simulation.simulate import simulate
-
-COARSE = Recipe(element_size_m=0.02)
+from training.coarse import LINEAR, coarse_records
 
 
 @pytest.fixture(scope="session")
 def records() -> list[Record]:
     """Six organs with coarse elements, one load case each."""
-    return [simulate(3, number, COARSE) for number in range(6)]
+    return list(coarse_records())
 
 
 @pytest.fixture(scope="session")
@@ -31,9 +28,6 @@ def linear_sample(samples) -> Sample:
     """A sample whose displacement is replaced by a linear function of the position (`LINEAR`)."""
     vertices = samples[0].vertices
     return dataclasses.replace(samples[0], displacement=(vertices @ LINEAR.T).astype(np.float32))
-
-
-LINEAR = np.array([[0.1, 0.2, -0.1], [0.05, -0.1, 0.3], [-0.2, 0.1, 0.15]])
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from estimator.shapes import ellipsoid
-from softtissue_estimator.organ.organ import check_organ
+from softtissue_estimator.organ import check_organ
 from softtissue_estimator.support.resources import bundled_organ
 
 LIVER = ellipsoid((0.09, 0.06, 0.05), subdivisions=3)

@@ -11,6 +11,7 @@ from softtissue_estimator.organ.organ import make_organ
 from softtissue_estimator.registration.elastic_registration import register_elastically
 from softtissue_estimator.registration.unknown_pose import after, rigid_columns, rigid_step
 from softtissue_estimator.view.rendering import vertex_normals
+from training.coarse import coarse_records
 
 TURN = Rotation.from_rotvec([0.05, -0.08, 0.06]).as_matrix()
 MOTION = RigidMotion(TURN, np.array([0.012, -0.008, 0.02]))
@@ -53,8 +54,9 @@ def test_after_is_one_motion_and_then_the_other():
 
 
 @pytest.fixture(scope="module")
-def seen(samples):
+def seen():
     """Organ, true displacement of its surface and its deformed surface, of a simulation."""
+    samples = [record.simulations[0] for record in coarse_records()]
     sample = max(samples, key=lambda one: np.linalg.norm(one.displacement, axis=1).mean())
     count = sample.surface_count
     surface = SurfaceMesh(sample.surface.vertices, sample.surface.faces)

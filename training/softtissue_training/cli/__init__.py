@@ -3,28 +3,34 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import sys
 from collections.abc import Sequence
 
 from softtissue_estimator.errors import SoftTissueError
-from softtissue_training.cli import (
-    benchmark,
-    compare_solvers,
-    evaluate,
-    export,
-    generate,
-    posterior,
-    realtime,
-    records,
-    show,
-    timing,
-    train,
-)
+
+# Module of each command, in the order of the help.
+_MODULES = {
+    "generate": "generate",
+    "show": "show",
+    "digest": "records",
+    "pack": "records",
+    "convert": "records",
+    "posterior": "posterior",
+    "train": "train",
+    "evaluate": "evaluate",
+    "benchmark": "benchmark",
+    "timing": "timing",
+    "realtime": "realtime",
+    "export": "export",
+    "compare-solvers": "compare_solvers",
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code: 0, or 2 for input that cannot be used."""
-    options = _parser().parse_args(arguments)
+    arguments = sys.argv[1:] if arguments is None else arguments
+    options = _parser(arguments).parse_args(arguments)
     try:
         code: int = options.run(options)
     except SoftTissueError as error:
@@ -36,7 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
+    """Return the parser of the command that the arguments begin with alone, since others take seconds to import."""
     parser = argparse.ArgumentParser(
         prog="softtissue-train",
         description="Simulate deformed organs and train the estimator's network on them.",
@@ -45,19 +52,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    modules = (
-        generate,
-        show,
-        records,
-        posterior,
-        train,
-        evaluate,
-        benchmark,
-        timing,
-        realtime,
-        export,
-        compare_solvers,
-    )
-    for module in modules:
-        module.add(commands)
+    named = _MODULES.get(arguments[0] if arguments else "")
+    for name in dict.fromkeys(_MODULES.values()) if named is None else [named]:
+        importlib.import_module(f"{__name__}.{name}").add(commands)
     return parser

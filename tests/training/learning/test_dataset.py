@@ -11,8 +11,7 @@ from softtissue_training.learning.batch_order import epoch_batches
 from softtissue_training.learning.box import crop, draw_box, draw_growth, own_box
 from softtissue_training.learning.dataset import draw_visible, prepare, voxelise, voxelise_many
 from softtissue_training.learning.voxel_target import voxel_displacement
-
-from .conftest import LINEAR
+from training.coarse import LINEAR
 
 SPEC = NetworkSpec(spacing=0.30 / 32, margin_cells=1)
 CPU = torch.device("cpu")

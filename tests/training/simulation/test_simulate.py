@@ -8,8 +8,7 @@ from softtissue_training.organs.tetrahedralise import TetMesh, signed_volumes
 from softtissue_training.simulation.boundary_conditions import DENSITY_KG_M3, weight
 from softtissue_training.simulation.recipe import Recipe
 from softtissue_training.simulation.simulate import simulate
-
-from .conftest import COARSE
+from training.coarse import COARSE
 
 REASONS = {
     "shape",

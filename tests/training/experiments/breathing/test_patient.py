@@ -1,20 +1,16 @@
 """The breathing experiment on a patient's liver as its authors left it; its second state is simulated."""
 
 import json
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 import yaml
 
+from recorded_data import PATIENT
 from softtissue_estimator.organ.mesh_io import read_mesh
 from softtissue_training.cli import main
 
-PATIENT = Path(
-    os.environ.get("SOFTTISSUE_TEST_DATA", Path(__file__).parents[3] / "shared" / "data"), "patient"
-)
 STRUCTURES = {"portal vein": "portal_vein", "hepatic veins": "hepatic_veins", "tumours": "liver_tumours"}
 
 pytestmark = pytest.mark.skipif(not PATIENT.is_dir(), reason=f"no patient's meshes in {PATIENT}")

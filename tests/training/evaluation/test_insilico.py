@@ -314,13 +314,14 @@ def cli(data, out, *arguments):
     return main(["evaluate", "insilico", "--data", str(data), "--out", str(out), *arguments])
 
 
-def test_command_prints_the_table(data_folder, tmp_path, capsys, no_figures):
+def test_command_prints_the_table(data_folder, tmp_path, capsys, no_figures, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["/somewhere/bin/softtissue-train", "evaluate", "in silico"])
     assert cli(data_folder, tmp_path, "--estimators", "zero", "--count", "1", "--visible", "20", "30") == 0
     shown = capsys.readouterr()
     assert "1 of 1 samples compared" in shown.out
     assert "evaluating" in shown.err  # the progress bar
     assert 0.2 <= float(rows(tmp_path)[0]["visible_share"]) < 0.35
-    assert summary(tmp_path)["command"].startswith("softtissue-train ")
+    assert summary(tmp_path)["command"] == "softtissue-train evaluate 'in silico'"
 
 
 @pytest.mark.parametrize(

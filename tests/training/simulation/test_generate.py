@@ -13,8 +13,7 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.simulation.archive import list_records
 from softtissue_training.simulation.cluster import connect
 from softtissue_training.simulation.generate import generate
-
-from .conftest import COARSE
+from training.coarse import COARSE
 
 COMMAND = [sys.executable, "-m", "softtissue_training", "generate", "--element-size", "20", "--seed", "3"]
 

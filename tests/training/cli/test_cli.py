@@ -1,3 +1,4 @@
+import os
 import subprocess
 import sys
 
@@ -6,7 +7,7 @@ import torch
 from matplotlib.image import imread
 
 from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
-from softtissue_training.cli import main
+from softtissue_training.cli import _MODULES, main
 from softtissue_training.simulation.archive import list_records
 
 
@@ -17,6 +18,25 @@ def test_help_names_every_command(capsys):
     shown = capsys.readouterr().out
     commands = ("generate", "show", "digest", "pack", "convert", "train", "evaluate", "export")
     assert all(command in shown for command in commands)
+
+
+def test_every_command_has_its_help(capsys):
+    for name in _MODULES:
+        with pytest.raises(SystemExit) as ended:
+            main([name, "--help"])
+        assert ended.value.code == 0
+        assert capsys.readouterr().out.startswith(f"usage: softtissue-train {name} ")
+
+
+def test_a_command_starts_without_what_others_need(data_folder):
+    script = (
+        "import sys; from softtissue_training.cli import _MODULES, main; assert main(sys.argv[1:]) == 0; "
+        "assert 'torch' not in sys.modules"
+    )
+    command = [sys.executable, "-c", script, "digest", str(data_folder)]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_pack_train_and_export(data_folder, tmp_path, capsys):

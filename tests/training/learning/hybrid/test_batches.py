@@ -16,8 +16,7 @@ from softtissue_training.learning.hybrid.posterior_set import PosteriorSet
 from softtissue_training.learning.hybrid.sample import hybrid_sample, oriented
 from softtissue_training.learning.prefetch import prefetched
 from softtissue_training.simulation.archive import record_name, write_record
-
-from .hybrid_cases import made_up_case, made_up_record
+from training.hybrid_cases import made_up_case, made_up_record
 
 CONFIG = get_hybrid_config("hybrid-tiny")
 

@@ -25,8 +25,7 @@ from softtissue_training.simulation.record_format import (
 )
 from softtissue_training.simulation.simulate import simulate
 from softtissue_training.simulation.vtu import write_vtu
-
-from .conftest import COARSE
+from training.coarse import COARSE
 
 
 def _same(ours, theirs):

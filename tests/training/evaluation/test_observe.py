@@ -25,8 +25,7 @@ from softtissue_training.evaluation.prescribed import finite_element_displacemen
 from softtissue_training.organs.surface_patch import draw_faces
 from softtissue_training.physics.material import Material
 from softtissue_training.physics.solver import solve
-
-from .conftest import LINEAR
+from training.coarse import LINEAR
 
 WHOLE = ObservationSettings(visible_share=(1.0, 1.0))
 THIRD = ObservationSettings(visible_share=(0.3, 0.4))

@@ -21,8 +21,7 @@ from softtissue_training.simulation.generate import generate
 from softtissue_training.simulation.record_format import parse_record
 from softtissue_training.simulation.reserved_seeds import FIRST_RESERVED_SEED, check_not_reserved
 from softtissue_training.simulation.simulate import simulate
-
-from .conftest import COARSE
+from training.coarse import COARSE
 
 MATERIALS = (
     Material(),

@@ -34,8 +34,7 @@ from softtissue_training.learning.run_summary import SUMMARY
 from softtissue_training.learning.schedule import Schedule
 from softtissue_training.learning.train import RunOptions
 from softtissue_training.simulation.archive import record_name, write_record
-
-from .hybrid_cases import made_up_record
+from training.hybrid_cases import made_up_record
 
 CONFIG = get_hybrid_config("hybrid-tiny")
 

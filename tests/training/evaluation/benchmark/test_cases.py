@@ -21,8 +21,7 @@ from softtissue_training.physics.material import Material
 from softtissue_training.simulation.archive import record_name, write_record
 from softtissue_training.simulation.record_format import format_record
 from softtissue_training.simulation.simulate import simulate
-
-from .conftest import COARSE
+from training.coarse import COARSE
 
 RADIUS = 0.06
 

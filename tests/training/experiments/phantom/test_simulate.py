@@ -1,14 +1,13 @@
 """Phantom cases made by simulation: of a small organ, and of a patient's liver in the files that its authors left."""
 
 import json
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 import yaml
 
+from recorded_data import PATIENT
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.organ.signed_distance import signed_distance
@@ -24,9 +23,6 @@ from softtissue_training.experiments.phantom.simulate import (
 )
 from training.phantom_cases import ellipsoid
 
-PATIENT = Path(
-    os.environ.get("SOFTTISSUE_TEST_DATA", Path(__file__).parents[3] / "shared" / "data"), "patient"
-)
 COARSE = PushSettings(element_size_m=0.018, largest_m=0.02, visible_share=0.3)
 
 
