@@ -12,7 +12,7 @@ BENCH_ARGS ?=
 VENV_STAMP := .venv/.installed
 BUILD_STAMP := ros2_ws/install/.built
 
-VENV_INPUTS := constraints.txt $(wildcard requirements*.txt) $(wildcard training/pyproject.toml) \
+VENV_INPUTS := constraints.txt $(wildcard requirements*.txt) $(wildcard training/pyproject.toml training/setup.py) \
 	scripts/check_tools scripts/patch_ros_wheels.py scripts/setup_venv scripts/free_gmsh_of_window.py
 # Python modules are linked into the workspace, so that editing them needs no build. Folders are listed beside their
 # files: their time changes when a file comes or goes.
