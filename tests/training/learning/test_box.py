@@ -13,12 +13,12 @@ import torch
 from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
 from softtissue_training.learning.batch_source import fixed_view
 from softtissue_training.learning.box import crop, own_box
-from softtissue_training.learning.dataset import voxelise
 from softtissue_training.learning.run_files import WEIGHTS
 from softtissue_training.learning.schedule import Schedule
 from softtissue_training.learning.simulation_set import SimulationSet
 from softtissue_training.learning.train import train
 from softtissue_training.learning.training_config import get_config
+from softtissue_training.learning.voxels import Voxeliser
 
 OVERFIT = get_config("overfit")
 # Boxes of 16 and 24 cells in a cube of 32.
@@ -43,7 +43,7 @@ def _errors_mm(network, around):
     """Means inside the organs: difference between box and cube, error on the box, error on the cube."""
     found = []
     for index, sample in enumerate(around):
-        voxels = voxelise(sample, *fixed_view(sample, index, BOXES), BOXES.spec, CPU)
+        voxels = Voxeliser(BOXES.spec, CPU)([sample], [fixed_view(sample, index, BOXES)])
         box = own_box(sample.box, sample.grid.shape)
         inputs, target, mask = crop(voxels, box)
         with torch.inference_mode():

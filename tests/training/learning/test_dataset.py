@@ -5,15 +5,18 @@ import pytest
 import torch
 
 from softtissue_estimator.estimators.paper.grid import VoxelGrid
-from softtissue_estimator.estimators.paper.network_input import NetworkSpec
+from softtissue_estimator.estimators.paper.network_input import NetworkSpec, rigid_spec
 from softtissue_training.learning.augment import exchange_axes, flip, random_orientation
 from softtissue_training.learning.batch_order import epoch_batches
 from softtissue_training.learning.box import crop, draw_box, draw_growth, own_box
-from softtissue_training.learning.dataset import draw_visible, prepare, voxelise, voxelise_many
+from softtissue_training.learning.dataset import draw_visible, prepare
+from softtissue_training.learning.view import view_of
 from softtissue_training.learning.voxel_target import voxel_displacement
+from softtissue_training.learning.voxels import Voxeliser, voxelise
 from training.coarse import LINEAR
 
 SPEC = NetworkSpec(spacing=0.30 / 32, margin_cells=1)
+RIGID_SPEC = rigid_spec(0.30 / 32, margin_cells=1)
 CPU = torch.device("cpu")
 
 
@@ -96,9 +99,12 @@ def test_samples_voxelised_together_are_those_voxelised_alone(samples):
     prepared = [prepare(sample, SPEC, surroundings=True) for sample in samples[:3]]
     assert len({sample.grid.shape for sample in prepared}) == 1
     seen = [draw_visible(sample, np.random.default_rng(8), (0.3, 0.3)) for sample in prepared]
-    for sample, view, voxels in zip(prepared, seen, voxelise_many(prepared, seen, SPEC, CPU), strict=True):
-        for together, alone in zip(voxels, voxelise(sample, *view, SPEC, CPU), strict=True):
-            torch.testing.assert_close(together, alone, rtol=0, atol=0)
+    for spec in (SPEC, RIGID_SPEC):
+        views = [view_of(*pair, spec) for pair in seen]
+        voxels = Voxeliser(spec, CPU)(prepared, views)
+        for number, (sample, pair) in enumerate(zip(prepared, seen, strict=True)):
+            for together, alone in zip(voxels, voxelise(sample, *pair, spec, CPU), strict=True):
+                torch.testing.assert_close(together[number : number + 1], alone, rtol=0, atol=0)
 
 
 def test_noise_has_the_deviation_asked_for_on_every_component(samples):

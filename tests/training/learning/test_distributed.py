@@ -13,13 +13,14 @@ from safetensors.torch import load_file, save_file
 
 from softtissue_training.cli import main
 from softtissue_training.learning.batch_source import BatchSource
-from softtissue_training.learning.dataset import draw_visible, prepare, voxelise
+from softtissue_training.learning.dataset import draw_visible, prepare
 from softtissue_training.learning.distributed import Ranks, joined
 from softtissue_training.learning.learner import Batch, Learner
 from softtissue_training.learning.loss import sample_losses
 from softtissue_training.learning.run_files import LOG, LOSS
 from softtissue_training.learning.simulation_set import SimulationSet
 from softtissue_training.learning.training_config import get_config
+from softtissue_training.learning.voxels import voxelise
 from softtissue_training.simulation.archive import record_name, write_record
 from softtissue_training.simulation.record_format import format_record
 

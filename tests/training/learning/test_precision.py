@@ -7,9 +7,10 @@ import torch
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.paper.network import UNet, initialise
 from softtissue_training.learning import precision
-from softtissue_training.learning.dataset import draw_visible, prepare, voxelise
+from softtissue_training.learning.dataset import draw_visible, prepare
 from softtissue_training.learning.loss import multi_resolution_loss
 from softtissue_training.learning.training_config import get_config
+from softtissue_training.learning.voxels import voxelise
 
 SPEC = get_config("tiny").spec
 CPU = torch.device("cpu")

@@ -64,8 +64,8 @@ def add(commands: Commands) -> None:
         "--config",
         choices=(*CONFIGS, *HYBRID_CONFIGS),
         default="paper",
-        help="paper: 4.7 mm cells, for a GPU; paper-coarse: 9.4 mm, a fifth of the work; tiny: for trying out; "
-        "overfit: a few organs by heart; hybrid: what the elastic posterior leaves, 9.4 mm, for a CPU; hybrid-full: "
+        help="paper: 4.7 mm cells, for a GPU; paper-coarse: 9.4 mm, a fifth of the work; paper-original: as "
+        "published, in the organ's frame; tiny: for trying out; overfit: a few organs by heart; hybrid: what the elastic posterior leaves, 9.4 mm, for a CPU; hybrid-full: "
         "4.7 mm, for a GPU; hybrid-tiny: for trying out (default: paper)",
     )
     train.add_argument("--resume", action="store_true", help="go on with the unfinished run in OUT")
@@ -116,6 +116,13 @@ def _add_machine(group: Any) -> None:
         metavar="N",
         help="processes that voxelise the simulations at the start; for the hybrid network, threads that make batches "
         "(default: 1)",
+    )
+    group.add_argument(
+        "--drawers",
+        type=int,
+        default=0,
+        metavar="N",
+        help="processes that draw what is seen, for the paper's network on a GPU (default: a thread)",
     )
     group.add_argument(
         "--watch",
@@ -193,6 +200,7 @@ def _train(options: argparse.Namespace) -> int:
         device=str(device),
         bfloat16=choose_bfloat16(options.precision, device),
         workers=options.workers,
+        drawers=options.drawers,
         watch=options.watch,
         tensorboard=options.tensorboard,
         command=" ".join(["softtissue-train", *sys.argv[1:]]),

@@ -17,7 +17,7 @@ def flip(inputs: Tensor, target: Tensor, axes: tuple[int, ...]) -> tuple[Tensor,
     Parameters
     ----------
     inputs
-        (B, 5, X, Y, Z) with the visible displacement in channels 1 to 3.
+        (B, c, X, Y, Z) with the known displacement in channels 1 to 3.
     target
         (B, 3, X, Y, Z).
     axes
@@ -34,7 +34,8 @@ def exchange_axes(inputs: Tensor, target: Tensor, order: tuple[int, int, int]) -
     """Rename the axes: axis i of the result is axis `order[i]` of the sample, and so for vector components."""
     spatial = [2 + axis for axis in order]
     inputs, target = inputs.permute(0, 1, *spatial), target.permute(0, 1, *spatial)
-    return inputs[:, [0, *(1 + axis for axis in order), 4]], target[:, list(order)]
+    channels = [0, *(1 + axis for axis in order), *range(4, inputs.shape[1])]
+    return inputs[:, channels], target[:, list(order)]
 
 
 def random_orientation(

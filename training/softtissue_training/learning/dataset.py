@@ -6,7 +6,6 @@ preprocessing. The visible patch is drawn anew every time a sample is used.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,22 +18,18 @@ from torch import Tensor
 from softtissue_estimator.estimators.paper.grid import VoxelGrid
 from softtissue_estimator.estimators.paper.network_input import (
     NetworkSpec,
-    OrganChannels,
-    assemble_input,
     channels_on_grid,
     organ_grid,
-    to_batch,
+    zero_displacement,
 )
-from softtissue_estimator.estimators.paper.rasterise import rasterise_many
 from softtissue_estimator.organ.mesh import face_areas, sample_faces
 from softtissue_training.learning.voxel_target import voxel_displacement
 from softtissue_training.organs.organ_shape import CUBE_SIDE_M
-from softtissue_training.organs.surface_patch import edge_graph, grow_patch
+from softtissue_training.organs.surface_patch import edge_graph, grow_patch, resized
 from softtissue_training.simulation.sample import Sample
 
 FloatArray = NDArray[np.float64]
 Share = tuple[float, float]
-Voxels = tuple[Tensor, Tensor, Tensor]
 
 
 @dataclass(frozen=True)
@@ -49,6 +44,8 @@ class PreparedSample:
         Cell counts of the former, which lies in the middle of the latter.
     signed_distance, zero_displacement
         (X, Y, Z) float16, as `OrganChannels`.
+    misattached
+        (2, X, Y, Z) float16, the flag where the attached region is told too small and too large; None: never.
     target
         (X, Y, Z, 3) float16 metres, zero outside the organ.
     points, point_displacement
@@ -63,6 +60,7 @@ class PreparedSample:
     box: tuple[int, int, int]
     signed_distance: Tensor
     zero_displacement: Tensor
+    misattached: Tensor | None
     target: Tensor
     points: Tensor
     point_displacement: Tensor
@@ -72,13 +70,17 @@ class PreparedSample:
     graph: sparse.csr_matrix
 
 
-def prepare(sample: Sample, spec: NetworkSpec, *, surroundings: bool = False) -> PreparedSample:
+def prepare(
+    sample: Sample, spec: NetworkSpec, *, surroundings: bool = False, misattachment: float = 0.0
+) -> PreparedSample:
     """Voxelise a simulation for a network of the given specification.
 
     Parameters
     ----------
     surroundings
         Voxelise the whole cube of 0.30 m around the organ, not only the box that the specification asks for.
+    misattachment
+        By which share of its area the attached region may be told too small or too large; 0: never.
     """
     surface = sample.surface
     box = organ_grid(surface, spec)
@@ -101,6 +103,7 @@ def prepare(sample: Sample, spec: NetworkSpec, *, surroundings: bool = False) ->
         box=box.shape,
         signed_distance=distance,
         zero_displacement=channels.zero_displacement.half(),
+        misattached=_misattached(sample, grid, misattachment) if misattachment else None,
         target=torch.from_numpy(target).half(),
         points=torch.from_numpy(points).float(),
         point_displacement=torch.from_numpy(moved).float(),
@@ -109,6 +112,29 @@ def prepare(sample: Sample, spec: NetworkSpec, *, surroundings: bool = False) ->
         areas=face_areas(surface),
         graph=edge_graph(surface),
     )
+
+
+def longest_axis_last(sample: Sample, spec: NetworkSpec) -> Sample:
+    """Rename the axes of a simulation so that its box has the most cells along the last one.
+
+    Organs of one box in any position then make a batch, which is turned as a whole.
+    """
+    order = np.argsort(organ_grid(sample.surface, spec).shape, kind="stable")
+    # An odd order mirrors the organ: its triangles and tetrahedra are turned inside out.
+    odd = np.linalg.det(np.eye(3)[order]) < 0.0
+    return replace(
+        sample,
+        vertices=np.ascontiguousarray(sample.vertices[:, order]),
+        displacement=np.ascontiguousarray(sample.displacement[:, order]),
+        faces=sample.faces[:, [0, 2, 1]] if odd else sample.faces,
+        tets=sample.tets[:, [0, 1, 3, 2]] if odd else sample.tets,
+    )
+
+
+def _misattached(sample: Sample, grid: VoxelGrid, share: float) -> Tensor:
+    """Return the flags of regions that are smaller and larger by a share of their area, (2, X, Y, Z)."""
+    regions = [resized(sample.surface, sample.attached_mask, 1.0 + sign * share) for sign in (-1, 1)]
+    return torch.stack([zero_displacement(grid, sample.surface, region).half() for region in regions])
 
 
 def _in_cube(box: VoxelGrid, cube: VoxelGrid) -> VoxelGrid:
@@ -162,59 +188,3 @@ def draw_visible(
         noise = rng.normal(scale=rng.uniform(*noise_m), size=(len(chosen), 3))
         displacement = displacement + torch.from_numpy(noise.astype(np.float32))
     return sample.points[index], displacement
-
-
-def voxelise(
-    sample: PreparedSample, points: Tensor, displacement: Tensor, spec: NetworkSpec, device: torch.device
-) -> Voxels:
-    """Turn a sample and its visible points into network input, target and mask, on a device.
-
-    Returns
-    -------
-    inputs
-        (1, 5, X, Y, Z) float32, scaled.
-    target
-        (1, 3, X, Y, Z) float32 in the network's unit of length.
-    mask
-        (1, 1, X, Y, Z) float32, 1 inside the organ.
-    """
-    return voxelise_many([sample], [(points, displacement)], spec, device)[0]
-
-
-def voxelise_many(
-    samples: Sequence[PreparedSample],
-    observed: Sequence[tuple[Tensor, Tensor]],
-    spec: NetworkSpec,
-    device: torch.device,
-) -> list[Voxels]:
-    """Do the same for several samples; those whose grids have the same cell counts go through the device together.
-
-    Parameters
-    ----------
-    observed
-        Visible points and displacements of each sample, as `draw_visible` returns them.
-    """
-    together = len({sample.grid.shape for sample in samples}) == 1
-    groups = [range(len(samples))] if together else [range(i, i + 1) for i in range(len(samples))]
-    result: list[Voxels] = []
-    for group in groups:
-        visible = rasterise_many(
-            [samples[i].grid for i in group],
-            [observed[i][0].to(device) for i in group],
-            [observed[i][1].to(device) for i in group],
-        )[0]
-        result += [
-            _channels(samples[i], field, spec, device) for i, field in zip(group, visible, strict=True)
-        ]
-    return result
-
-
-def _channels(sample: PreparedSample, visible: Tensor, spec: NetworkSpec, device: torch.device) -> Voxels:
-    channels = OrganChannels(
-        sample.grid,
-        sample.signed_distance.to(device, torch.float32),
-        sample.zero_displacement.to(device, torch.float32),
-    )
-    target = to_batch(sample.target.to(device, torch.float32) / spec.output_scale)
-    mask = to_batch(channels.organ_mask.unsqueeze(-1).float())
-    return assemble_input(channels, visible, spec), target, mask

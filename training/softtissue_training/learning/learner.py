@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from softtissue_estimator.estimators.paper.network import UNet, initialise
 from softtissue_training.learning.distributed import Ranks
-from softtissue_training.learning.loss import sample_losses
+from softtissue_training.learning.loss import sample_losses, sigma_losses
 from softtissue_training.learning.optimisation import Optimisation
 from softtissue_training.learning.precision import restrict_autocast
 from softtissue_training.learning.training_config import TrainingConfig
@@ -22,7 +22,7 @@ class Batch:
     Attributes
     ----------
     inputs, target, mask
-        (b, 5, X, Y, Z), (b, 3, X, Y, Z) and (b, 1, X, Y, Z), as `voxelise` makes them.
+        (b, c, X, Y, Z), (b, 3, X, Y, Z) and (b, 1, X, Y, Z), as `voxelise` makes them.
     count
         Samples of the batch in all processes together.
     counts
@@ -49,6 +49,8 @@ class Learner(Optimisation[UNet]):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             network = UNet(config.spec.architecture)
+        if device.type == "cuda":
+            network = network.to(device, memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
         super().__init__(network, config, device, ranks)
         restrict_autocast(self.network, device)
         self._outputs: nn.Module | None = None
@@ -69,7 +71,11 @@ class Learner(Optimisation[UNet]):
         self.optimiser.zero_grad(set_to_none=True)
         with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.bfloat16):
             outputs = self._outputs(batch.inputs)
-        losses = sample_losses(outputs, batch.target, batch.mask, self.config.cube_cells)
+        config = self.config
+        truth = batch.target, batch.mask, config.cube_cells
+        losses = sample_losses(outputs, *truth, distance=config.loss == "distance")
+        if config.spec.gives_sigma:
+            losses = losses + config.sigma_weight * sigma_losses(outputs[-1], *truth)
         share = losses.sum() * (float(batch.counts) / batch.count)
         return self.backward(share)
 

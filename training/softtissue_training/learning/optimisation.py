@@ -84,6 +84,7 @@ class Optimisation(Generic[NetworkT]):
         # Early weights are forgotten sooner than the decay says, or the average would start at zero output.
         decay = min(self.settings.ema_decay, (2 + step) / (11 + step))
         with torch.no_grad():
-            for averaged, weight in zip(self.average.parameters(), self.network.parameters(), strict=True):
-                averaged.lerp_(weight, 1.0 - decay)
+            torch._foreach_lerp_(
+                list(self.average.parameters()), list(self.network.parameters()), 1.0 - decay
+            )
         return True

@@ -6,6 +6,7 @@ import json
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -137,7 +138,10 @@ class SimulationRunFiles(RunFiles[ValidationResult]):
     def save_weights(self, learner: Optimisation[Any], progress: Progress, result: ValidationResult) -> None:
         """See `RunFiles.save_weights`."""
         source = provenance(self._dataset, self._config, progress, result, self._command)
-        save_checkpoint(self._out / WEIGHTS, learner.average, self._config.spec, source)
+        spec = self._config.spec
+        if spec.gives_sigma:
+            spec = replace(spec, sigma_scale=result.sigma_scale)
+        save_checkpoint(self._out / WEIGHTS, learner.average, spec, source)
 
     def _row(self, progress: Progress, rate: float, loss: float, result: ValidationResult) -> tuple[Any, ...]:
         return (

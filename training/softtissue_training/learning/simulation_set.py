@@ -11,14 +11,14 @@ from pathlib import Path
 from tqdm import tqdm
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.estimators.paper.network_input import NetworkSpec
-from softtissue_training.learning.dataset import PreparedSample, prepare
+from softtissue_training.learning.dataset import PreparedSample, longest_axis_last, prepare
 from softtissue_training.learning.training_config import TrainingConfig
 from softtissue_training.simulation.archive import digest, list_records, read_records
 from softtissue_training.simulation.record_format import content_hash, parse_record
 from softtissue_training.simulation.reserved_seeds import check_not_reserved
+from softtissue_training.simulation.sample import Sample
 
-_Task = tuple[str, bytes, NetworkSpec, bool]
+_Task = tuple[str, bytes, TrainingConfig]
 
 
 class SimulationSet:
@@ -56,7 +56,7 @@ class SimulationSet:
         """
         new = [name for name in list_records(self._data) if name not in self._hashes][:limit]
         tasks = (
-            (name, content, self._config.spec, self._config.larger_box_share > 0.0)
+            (name, content, self._config)
             for name, content in zip(new, read_records(self._data, new), strict=True)
         )
         quiet = not (new and self._show)
@@ -100,11 +100,22 @@ class SimulationSet:
 
 
 def _prepare_one(task: _Task) -> tuple[str, str, int, list[PreparedSample]]:
-    name, content, spec, surroundings = task
+    name, content, config = task
     record = parse_record(content, name)
     check_not_reserved(record.seed[0])
-    samples = [prepare(sample, spec, surroundings=surroundings) for sample in record.simulations]
+    samples = [_prepare(sample, config) for sample in record.simulations]
     return name, content_hash(content, name), record.seed[1], samples
+
+
+def _prepare(sample: Sample, config: TrainingConfig) -> PreparedSample:
+    if config.exchange_axes:
+        sample = longest_axis_last(sample, config.spec)
+    return prepare(
+        sample,
+        config.spec,
+        surroundings=config.larger_box_share > 0.0,
+        misattachment=config.misattachment if config.misattached else 0.0,
+    )
 
 
 def _prepare_and_pickle(task: _Task) -> bytes:

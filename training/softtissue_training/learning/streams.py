@@ -19,6 +19,7 @@ class Purpose(IntEnum):
     BATCH = 3
     SAMPLE = 4
     FIXED = 5
+    BOX = 6
 
 
 def stream(seed: int, purpose: Purpose, *place: int) -> np.random.Generator:

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.learning.batch_source import BatchSource, DrawnBatch, fixed_view
-from softtissue_training.learning.dataset import draw_visible, voxelise
+from softtissue_training.learning.dataset import draw_visible
 from softtissue_training.learning.distributed import Ranks
 from softtissue_training.learning.learner import Learner
 from softtissue_training.learning.run_files import STATE, SimulationRunFiles
@@ -25,6 +25,8 @@ from softtissue_training.learning.streams import Purpose, stream
 from softtissue_training.learning.training_config import TrainingConfig
 from softtissue_training.learning.training_state import Progress, load_state
 from softtissue_training.learning.validation import Validation, ValidationResult
+from softtissue_training.learning.view import view_of
+from softtissue_training.learning.voxels import voxelise
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,8 @@ class RunOptions:
         Convolutions in bfloat16.
     workers
         Processes that voxelise simulations.
+    drawers
+        Processes that draw what is observed; with 0 a thread does. A GPU needs several to be kept busy.
     watch
         Use simulations that are added meanwhile; the run can then not be repeated.
     tensorboard
@@ -50,6 +54,7 @@ class RunOptions:
     device: str = "cpu"
     bfloat16: bool = False
     workers: int = 1
+    drawers: int = 0
     watch: bool = False
     tensorboard: bool = False
     command: str = ""
@@ -84,6 +89,10 @@ def train(
         Too many gradients are not finite.
     """
     options, ranks = options or RunOptions(), ranks or Ranks()
+    if options.watch and options.drawers:
+        raise InvalidInputError(
+            "data cannot be watched while processes draw views; leave --watch or --drawers out"
+        )
     if options.watch and ranks.size > 1:
         raise InvalidInputError(
             f"data can be watched by one process alone, got {ranks.size}; leave --watch out"
@@ -119,7 +128,7 @@ class _Run(RunLoop[DrawnBatch, ValidationResult]):
         super().__init__(config, schedule, ranks, torch.device(options.device))
         self.config, self.dataset, self.watch = config, dataset, options.watch
         self.learner = Learner(config, self.device, ranks, bfloat16=options.bfloat16)
-        self.source = BatchSource(dataset, config, self.device, ranks)
+        self.source = BatchSource(dataset, config, self.device, ranks, drawers=options.drawers)
         self.progress = self._load(out / STATE) if (out / STATE).exists() else self._begin()
         self.files = None
         if ranks.writes:
@@ -157,7 +166,8 @@ class _Run(RunLoop[DrawnBatch, ValidationResult]):
             observed = [fixed_view(sample, index, config) for index, sample in enumerate(samples)]
         else:
             rng = stream(config.seed, Purpose.VALIDATION)
-            observed = [draw_visible(sample, rng, config.validation_visible_share) for sample in samples]
+            shares = config.validation_visible_share
+            observed = [view_of(*draw_visible(sample, rng, shares), config.spec) for sample in samples]
         return Validation(samples, observed, config.spec, self.device)
 
     def _begin(self) -> Progress:

@@ -1,7 +1,8 @@
-"""How far a network is off on organs that it was not trained on, beside a rigid fit of the observation."""
+"""How far a network is off on organs that it was not trained on, beside a rigid fit of what is observed."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,12 +11,17 @@ import torch
 from torch import Tensor
 
 from softtissue_estimator.estimators.paper.network import UNet
-from softtissue_estimator.estimators.paper.network_input import NetworkSpec
+from softtissue_estimator.estimators.paper.network_input import LOG_SIGMA_RANGE, NetworkSpec
 from softtissue_estimator.observation.rigid import fit_rigid
 from softtissue_training.learning.batch_order import slots_of
 from softtissue_training.learning.box import crop, own_box
-from softtissue_training.learning.dataset import PreparedSample, voxelise
+from softtissue_training.learning.dataset import PreparedSample
 from softtissue_training.learning.distributed import Ranks
+from softtissue_training.learning.view import View
+from softtissue_training.learning.voxels import Voxeliser
+
+_QUANTILES = 201  # of each sample, so that all samples count alike
+_ONE_SIGMA = 0.6827  # share of a Gaussian within one standard deviation
 
 
 @dataclass(frozen=True)
@@ -30,11 +36,15 @@ class ValidationResult:
         Length of the true displacement: the error of estimating no displacement.
     rigid_error
         Error of the rigid motion that fits the visible points best.
+    sigma_scale
+        Factor that makes two thirds (0.683) of the components of the errors lie within one standard deviation; NaN for
+        a network that gives none.
     """
 
     error: float
     displacement: float
     rigid_error: float
+    sigma_scale: float = math.nan
 
     @property
     def score(self) -> float:
@@ -48,28 +58,30 @@ class Validation:
     Parameters
     ----------
     observed
-        Visible points and displacements of each sample, as `draw_visible` returns them.
+        One view of each sample, without noise.
     """
 
     def __init__(
         self,
         samples: Sequence[PreparedSample],
-        observed: Sequence[tuple[Tensor, Tensor]],
+        observed: Sequence[View],
         spec: NetworkSpec,
         device: torch.device,
     ) -> None:
         self._spec = spec
         self._device = device
-        self._inputs: list[tuple[PreparedSample, Tensor, Tensor]] = []
+        self._voxelise = Voxeliser(spec, device, keep=device.type == "cuda")
+        self._inputs: list[tuple[PreparedSample, View]] = []
         self._displacement: list[float] = []
         self._rigid: list[float] = []
-        for sample, (points, displacement) in zip(samples, observed, strict=True):
-            self._inputs.append((sample, points, displacement))
+        for sample, view in zip(samples, observed, strict=True):
+            self._inputs.append((sample, view))
             inside = (sample.signed_distance <= 0).reshape(-1).numpy()
             target = sample.target.reshape(-1, 3).double().numpy()[inside]
             centres = sample.grid.points()[inside]
-            before = points.double().numpy()
-            motion = fit_rigid(before, before + displacement.double().numpy())
+            before = view.points.double().numpy()
+            now = before + view.displacement.double().numpy()
+            motion = fit_rigid(before, now if view.motion is None else view.motion.apply(now))
             self._displacement.append(float(np.linalg.norm(target, axis=1).mean()))
             self._rigid.append(float(np.linalg.norm(motion.apply(centres) - centres - target, axis=1).mean()))
 
@@ -85,16 +97,26 @@ class Validation:
         was_training = network.training
         network.eval()
         errors = torch.zeros(len(self._inputs), dtype=torch.float64)
+        ratios = torch.full((len(self._inputs), _QUANTILES), 0.0, dtype=torch.float64)
         with torch.inference_mode():
             for number in slots_of(ranks.rank, ranks.size, len(self._inputs)):
-                errors[number] = self._error(network, *self._inputs[number])
+                errors[number], ratios[number] = self._error(network, *self._inputs[number])
         network.train(was_training)
         error = float(ranks.sum(errors.to(self._device)).mean())
-        return ValidationResult(error, float(np.mean(self._displacement)), float(np.mean(self._rigid)))
+        scale = float(ranks.sum(ratios.to(self._device)).flatten().quantile(_ONE_SIGMA))
+        return ValidationResult(error, float(np.mean(self._displacement)), float(np.mean(self._rigid)), scale)
 
-    def _error(self, network: UNet, sample: PreparedSample, points: Tensor, displacement: Tensor) -> float:
-        """Return the mean distance inside the organ, metres."""
-        voxels = voxelise(sample, points, displacement, self._spec, self._device)
+    def _error(self, network: UNet, sample: PreparedSample, view: View) -> tuple[float, Tensor]:
+        """Return the mean distance inside the organ, metres, and quantiles of |error| over standard deviation."""
+        voxels = self._voxelise([sample], [view])
         inputs, target, mask = crop(voxels, own_box(sample.box, sample.grid.shape))
-        distance = (network(inputs) - target).norm(dim=1, keepdim=True)
-        return float((distance * mask).sum() / mask.sum()) * self._spec.output_scale
+        outputs = network(inputs)
+        error = outputs[:, :3] - target
+        mean = float((error.norm(dim=1, keepdim=True) * mask).sum() / mask.sum()) * self._spec.output_scale
+        if not self._spec.gives_sigma:
+            return mean, torch.full((_QUANTILES,), math.nan)
+        ratio = (error.abs() * torch.exp(-outputs[:, 3:].clamp(*LOG_SIGMA_RANGE)))[
+            (mask > 0.0).expand_as(error)
+        ]
+        rank = torch.linspace(0, len(ratio) - 1, _QUANTILES).long()
+        return mean, ratio.sort().values.cpu()[rank]

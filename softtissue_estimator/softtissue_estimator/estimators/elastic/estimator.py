@@ -7,12 +7,12 @@ from threadpoolctl import ThreadpoolController
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
-from softtissue_estimator.estimators.elastic.patch_average import ObservedPatches, average_patches
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.estimators.elastic.tracking import ElasticTracker
 from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progress, silent
 from softtissue_estimator.inference.device import choose_device, device_stopwatch, one_thread
 from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.observation.patch_average import ObservedPatches, average_patches
 from softtissue_estimator.observation.rigid import fit_rigid
 from softtissue_estimator.organ.mesh import FloatArray
 from softtissue_estimator.organ.organ import Organ

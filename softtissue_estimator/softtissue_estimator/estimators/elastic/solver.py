@@ -17,9 +17,9 @@ from softtissue_estimator.estimators.elastic.linear_gaussian import (
     sum_up,
 )
 from softtissue_estimator.estimators.elastic.model import ElasticModel
-from softtissue_estimator.estimators.elastic.patch_average import ObservedPatches, student_weights
 from softtissue_estimator.estimators.elastic.plausibility import plausible_fit
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
+from softtissue_estimator.observation.patch_average import ObservedPatches, student_weights
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import FloatArray
 

@@ -1,4 +1,8 @@
-"""The paper's estimator: displaced surface onto the grid, U-Net, displacement field (Pfeiffer et al. 2019)."""
+"""The paper's estimator: displaced surface onto the grid, U-Net, displacement field (Pfeiffer et al. 2019).
+
+Its network answers in the organ's frame, as published, or in that of the rigid motion of what is observed (`rigid_frame`),
+as its checkpoint says.
+"""
 
 from __future__ import annotations
 
@@ -22,15 +26,26 @@ from softtissue_estimator.estimators.paper.network_input import (
     OrganChannels,
     assemble_input,
     cached_channels,
+    field_of,
     from_batch,
+    known_displacement,
+    observed_displacement,
     organ_grid,
-    visible_displacement,
+)
+from softtissue_estimator.estimators.paper.rigid_frame import (
+    RIGID,
+    fit_frame,
+    into_frame,
+    into_frames,
+    out_of_frame,
 )
 from softtissue_estimator.inference.captured_call import CapturedCall
 from softtissue_estimator.inference.device import StageClock, choose_device, one_thread, to_device, to_host
 from softtissue_estimator.inference.precision import choose_precision
 from softtissue_estimator.inference.runtime import NetworkRuntime
 from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.observation.patch_average import average_patches
+from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.support.resources import bundled_checkpoint
 
@@ -43,33 +58,59 @@ class _Prepared:
 
     Attributes
     ----------
+    cells
+        (X, Y, Z, 3) float32 metres, where the cells of the grid are.
+    field
+        From what is known (X, Y, Z, 4), as `known_displacement` makes it, to the field (X, Y, Z, c): displacement in
+        the network's frame and, with c = 4, standard deviation; metres.
     answer
-        From the visible displacement (X, Y, Z, 3) to the field (X, Y, Z, 3) and to its values at the organ's query
-        points (q, 3), metres.
+        The same, and the field's values at the organ's query points (q, c).
     """
 
+    organ: Organ
     channels: OrganChannels
+    cells: Tensor
     field: Callable[[Tensor], Tensor]
     sampler: FieldSampler
     answer: CapturedCall
 
 
 class PaperEstimate(Estimate):
-    """A displacement field on the organ's grid, read at the organ's query points."""
+    """A displacement field on the organ's grid, read at the organ's query points.
+
+    Parameters
+    ----------
+    field
+        (X, Y, Z, 3 or 4) as of `_Prepared`.
+    motion
+        The rigid motion in whose frame the field is; None for the organ's frame.
+    values
+        (q, 3 or 4) the field at the organ's query points.
+    """
 
     def __init__(
-        self, channels: OrganChannels, field: Tensor, displacement: FloatArray, stages: dict[str, float]
+        self,
+        organ: Organ,
+        channels: OrganChannels,
+        field: Tensor,
+        motion: RigidMotion | None,
+        values: FloatArray,
+        stages: dict[str, float],
     ) -> None:
-        self._channels = channels
-        self._field = field
-        self.displacement = displacement
-        self.sigma = None  # the paper's network gives none
+        self._channels, self._field, self._motion = channels, field, motion
+        self.displacement, self.sigma = self._in_organ_frame(organ.query_points, values)
         self.stages = stages
 
     def displacement_at(self, points: FloatArray) -> tuple[FloatArray, FloatArray | None]:
-        """Displacement (k, 3) in metres of preoperative points (k, 3) in metres; no standard deviation."""
+        """See `Estimate.displacement_at`; None where the network does not say how sure it is."""
         sampler = FieldSampler(self._channels.grid, self._channels.organ_mask, points, self._field.device)
-        return sampler(self._field).double().cpu().numpy(), None
+        return self._in_organ_frame(points, sampler(self._field).double().cpu().numpy())
+
+    def _in_organ_frame(self, points: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+        displacement = values[:, :3]
+        if self._motion is not None:
+            displacement = out_of_frame(self._motion, points, displacement)
+        return displacement, values[:, 3] if values.shape[1] == 4 else None
 
 
 class PaperEstimator(Estimator):
@@ -106,18 +147,19 @@ class PaperEstimator(Estimator):
             runtime = NetworkRuntime(self._network, shape, device, self._dtype, progress)
             inside = channels.organ_mask.unsqueeze(-1)
 
-            def field(visible: Tensor) -> Tensor:
-                outputs = runtime(assemble_input(channels, visible, spec))
-                return from_batch(outputs) * spec.output_scale * inside
+            def field(known: Tensor) -> Tensor:
+                outputs = from_batch(runtime(assemble_input(channels, known, spec)))
+                return field_of(outputs, spec) * inside
 
-            def answer(visible: Tensor) -> tuple[Tensor, ...]:
-                found = field(visible)
+            def answer(known: Tensor) -> tuple[Tensor, ...]:
+                found = field(known)
                 return found, sampler(found)
 
             with torch.inference_mode():
-                nothing_observed = torch.zeros((*channels.grid.shape, 3), device=device)
+                nothing_observed = torch.zeros((*channels.grid.shape, 4), device=device)
                 call = CapturedCall(answer, nothing_observed, progress)
-        self._prepared = _Prepared(channels, field, sampler, call)
+        cells = torch.from_numpy(channels.grid.points()).float().reshape(*channels.grid.shape, 3).to(device)
+        self._prepared = _Prepared(organ, channels, cells, field, sampler, call)
 
     def estimate(self, observation: Observation) -> Estimate:
         """Rasterise the visible displacement, run the network, read its field at the organ's query points."""
@@ -126,23 +168,42 @@ class PaperEstimator(Estimator):
             raise InvalidInputError("no organ is loaded: expected load_organ before the first observation")
         with torch.inference_mode(), self._threads():
             clock = StageClock(self._device)
-            visible = visible_displacement(
-                prepared.channels.grid,
-                to_device(observation.reference, self._device),
-                to_device(observation.displacement, self._device),
-                to_device(observation.sigma, self._device),
-            )
+            motion = None
+            if self._spec.frame == RIGID:
+                motion = fit_frame(average_patches(observation, prepared.organ.surface_lookup))
+                clock.lap("rigid")
+            known = self._known(prepared, observation, motion)
             clock.lap("rasterise")
             if prepared.answer.captured:
-                field, displacement = prepared.answer(visible)
+                field, values = prepared.answer(known)
                 clock.lap("network")
             else:
-                field = prepared.field(visible)
+                field = prepared.field(known)
                 clock.lap("network")
-                displacement = prepared.sampler(field)
-            (displacement,) = to_host(displacement)
+                values = prepared.sampler(field)
+            (values,) = to_host(values)
             clock.lap("warp")
-        return PaperEstimate(prepared.channels, field, displacement.double().numpy(), clock.stages())
+        return PaperEstimate(
+            prepared.organ, prepared.channels, field, motion, values.double().numpy(), clock.stages()
+        )
+
+    def _known(self, prepared: _Prepared, observation: Observation, motion: RigidMotion | None) -> Tensor:
+        """Return what the network is told of this frame, (X, Y, Z, 4)."""
+        displacement, attached = observation.displacement, None
+        if motion is not None:
+            displacement = into_frame(motion, observation.reference, displacement)
+            rotation, translation = (
+                to_device(part[None], self._device).float() for part in (motion.rotation, motion.translation)
+            )
+            still = torch.zeros((), device=self._device)
+            attached = into_frames(rotation, translation, prepared.cells[None], still)[0]
+        visible, observed = observed_displacement(
+            prepared.channels.grid,
+            to_device(observation.reference, self._device),
+            to_device(displacement, self._device),
+            to_device(observation.sigma, self._device),
+        )
+        return known_displacement(visible, observed, prepared.channels.zero_displacement, attached)
 
     def _threads(self) -> AbstractContextManager[None]:
         # In half precision one core answers in milliseconds; a second would save a few of them on an idle machine

@@ -7,7 +7,8 @@ same function of its inputs with a better conditioned first layer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from torch import Tensor
 from softtissue_estimator.estimators.paper.grid import VoxelGrid
 from softtissue_estimator.estimators.paper.network import UNetArchitecture
 from softtissue_estimator.estimators.paper.rasterise import rasterise
+from softtissue_estimator.estimators.paper.rigid_frame import ORGAN, RIGID
 from softtissue_estimator.organ.mesh import SurfaceMesh, sample_faces
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.organ.signed_distance import signed_distance
@@ -31,9 +33,14 @@ CHANNELS = (
     "visible_displacement_z",
     "zero_displacement",
 )
+OBSERVED = (
+    "observed"  # 1 where something was observed: a point that did not move is told from one that was not seen
+)
 PREPROCESSING_VERSION = 1  # raise it whenever the channels of an organ change: caches depend on it
 PAPER_SCALES = (0.1, 1.0, 1.0, 1.0, 0.1)
 COMMON_FACTOR = 50.0  # one network unit is then 20 mm, near the displacements that are to be told apart
+LOG_SIGMA_RANGE = (-6.0, 4.0)  # of a standard deviation in the network's unit of length
+RIGID_UNIT_M = 0.005  # what is left to tell apart in the frame of the rigid motion
 
 
 @dataclass(frozen=True)
@@ -56,6 +63,10 @@ class NetworkSpec:
         Free cells on each side of the organ's bounding box.
     architecture
         Shapes of the weights.
+    frame
+        Frame of all displacements: "organ", or "rigid", that of the rigid motion of what is observed (`rigid_frame`).
+    sigma_scale
+        Factor from the standard deviation that the network says to the one that held-out organs show.
     """
 
     spacing: float = 0.30 / 64
@@ -65,6 +76,45 @@ class NetworkSpec:
     cube_side_m: float = 0.0
     margin_cells: int = 2
     architecture: UNetArchitecture = UNetArchitecture()
+    frame: str = ORGAN
+    sigma_scale: float = 1.0
+
+    @property
+    def gives_sigma(self) -> bool:
+        """Whether a fourth output is the logarithm of the standard deviation of each component."""
+        return self.architecture.out_channels == 4
+
+
+_SPEC_FIELDS = frozenset(field.name for field in fields(NetworkSpec))
+
+
+def rigid_spec(spacing: float, *, sigma: bool = True, observed: bool = True, **changes: Any) -> NetworkSpec:
+    """Return the specification of a network in the frame of the rigid motion.
+
+    Parameters
+    ----------
+    sigma
+        Whether it says how sure it is.
+    observed
+        Whether a sixth channel says what was observed.
+    changes
+        Other fields of `NetworkSpec`, and of its architecture.
+    """
+    spec_changes = {name: changes.pop(name) for name in list(changes) if name in _SPEC_FIELDS}
+    architecture = UNetArchitecture(
+        in_channels=6 if observed else 5, out_channels=4 if sigma else 3, **changes
+    )
+    unit = 1.0 / RIGID_UNIT_M
+    distance, flag = (COMMON_FACTOR * PAPER_SCALES[index] for index in (0, -1))
+    return NetworkSpec(
+        spacing=spacing,
+        channels=(*CHANNELS, OBSERVED) if observed else CHANNELS,
+        input_scales=(distance, unit, unit, unit, flag, *([1.0] if observed else [])),
+        output_scale=RIGID_UNIT_M,
+        architecture=architecture,
+        frame=RIGID,
+        **spec_changes,
+    )
 
 
 @dataclass(frozen=True)
@@ -98,7 +148,7 @@ class OrganChannels:
 def organ_grid(surface: SurfaceMesh, spec: NetworkSpec) -> VoxelGrid:
     """Return the grid on which a network of this specification is given the organ.
 
-    A network trained on the cube is given the cube, or a box around it where the organ does not fit in.
+    A network trained on the cube sees the cube, or, for an organ that does not fit into it, the smallest box that does.
     """
     lower, upper = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     if spec.cube_side_m > 0.0:
@@ -165,7 +215,14 @@ def zero_displacement(grid: VoxelGrid, surface: SurfaceMesh, attached: NDArray[n
 def visible_displacement(
     grid: VoxelGrid, reference: Tensor, displacement: Tensor, sigma: Tensor | None = None
 ) -> Tensor:
-    """Return u_vis(p): (X, Y, Z, 3) float32 metres, zero where nothing was observed.
+    """Return u_vis(p): (X, Y, Z, 3) float32 metres, zero where nothing was observed; see `observed_displacement`."""
+    return observed_displacement(grid, reference, displacement, sigma)[0]
+
+
+def observed_displacement(
+    grid: VoxelGrid, reference: Tensor, displacement: Tensor, sigma: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """Return u_vis(p) and where something was observed.
 
     Parameters
     ----------
@@ -175,28 +232,80 @@ def visible_displacement(
         (n, 3) metres.
     sigma
         (n,) standard deviations, metres: nearby points are averaged with weights 1 / sigma^2. Equal if None.
+
+    Returns
+    -------
+    visible
+        (X, Y, Z, 3) float32 metres, zero where nothing was observed.
+    observed
+        (X, Y, Z) bool.
     """
     weights = None if sigma is None else sigma.double().clamp_min(1e-5).pow(-2)
-    return rasterise(grid, reference, displacement.float(), weights)[0]
+    return rasterise(grid, reference, displacement.float(), weights)
 
 
-def assemble_input(channels: OrganChannels, visible: Tensor, spec: NetworkSpec) -> Tensor:
-    """Stack and scale the channels of one organ.
+def known_displacement(
+    visible: Tensor, observed: Tensor, zero_displacement: Tensor, attached: Tensor | None
+) -> Tensor:
+    """Join what is observed and what attached tissue does.
 
     Parameters
     ----------
     visible
-        (X, Y, Z, 3) visible displacement, metres.
+        (..., 3) visible displacement in the network's frame, metres.
+    observed
+        (...) bool, where something was observed.
+    zero_displacement
+        (...) the flag z.
+    attached
+        (..., 3) displacement of tissue that does not move, in the network's frame; None where that is zero.
 
     Returns
     -------
     Tensor
-        (1, 5, X, Y, Z) float32, on the device of the channels.
+        (..., 4): the displacement, metres, that of attached tissue where nothing was observed; and 1 where something was.
     """
-    parts = (channels.signed_distance, *visible.unbind(-1), channels.zero_displacement)
+    if attached is not None:
+        flagged = zero_displacement.unsqueeze(-1) * attached
+        visible = torch.where(observed.unsqueeze(-1), visible, flagged)
+    return torch.cat([visible, observed.unsqueeze(-1).to(visible.dtype)], dim=-1)
+
+
+def assemble_input(channels: OrganChannels, known: Tensor, spec: NetworkSpec) -> Tensor:
+    """Stack and scale the channels of one organ.
+
+    Parameters
+    ----------
+    known
+        (X, Y, Z, 4) as `known_displacement` returns it; where the specification has no channel for what was observed,
+        (X, Y, Z, 3) will do.
+
+    Returns
+    -------
+    Tensor
+        (1, 5 or 6, X, Y, Z) float32, on the device of the channels.
+    """
+    return to_batch(stacked_channels(channels.signed_distance, channels.zero_displacement, known, spec))
+
+
+def stacked_channels(
+    signed_distance: Tensor, zero_displacement: Tensor, known: Tensor, spec: NetworkSpec
+) -> Tensor:
+    """Stack and scale channels (..., X, Y, Z) and what is known (..., X, Y, Z, 3 or 4): (..., X, Y, Z, c) float32."""
+    seen = [known[..., 3]] if OBSERVED in spec.channels else []
+    parts = (signed_distance, *known[..., :3].unbind(-1), zero_displacement, *seen)
     # Numbers instead of a tensor of them, which would be copied to the device in every frame.
     scaled = [part * scale for part, scale in zip(parts, spec.input_scales, strict=True)]
-    return to_batch(torch.stack(scaled, dim=-1))
+    return torch.stack(scaled, dim=-1)
+
+
+def field_of(outputs: Tensor, spec: NetworkSpec) -> Tensor:
+    """Return displacement and, if the network gives it, standard deviation, (..., 3 or 4) m, of its outputs."""
+    if not spec.gives_sigma:
+        return outputs * spec.output_scale
+    log_sigma = outputs[..., 3:].clamp(*LOG_SIGMA_RANGE)
+    sigma = log_sigma.exp() * (spec.output_scale * spec.sigma_scale)
+    return torch.cat([outputs[..., :3] * spec.output_scale, sigma], dim=-1)
 
 
 def to_batch(grid_values: Tensor) -> Tensor:

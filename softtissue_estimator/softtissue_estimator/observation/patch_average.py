@@ -49,10 +49,30 @@ def average_patches(observation: Observation, lookup: SurfaceLookup) -> Observed
             f"observation: expected reference points near the preoperative surface, got {int((sample < 0).sum())} "
             f"of {len(sample)} out of reach"
         )
-    patch = lookup.patch.take(sample)
-    count = len(lookup.patch_areas)
-    weight = 1.0 / np.square(np.maximum(observation.sigma, _SMALLEST_SIGMA_M))
-    moved = observation.displacement
+    return average_groups(
+        lookup.patch.take(sample),
+        len(lookup.patch_areas),
+        observation.reference,
+        observation.displacement,
+        observation.sigma,
+    )
+
+
+def average_groups(
+    patch: IntArray, count: int, reference: FloatArray, moved: FloatArray, sigma: FloatArray
+) -> ObservedPatches:
+    """Average the points of each group.
+
+    Parameters
+    ----------
+    patch : (n,)
+        Number of each point's group, below `count`.
+    reference, moved : (n, 3) m
+        Places and displacements of the points.
+    sigma : (n,) m
+        Standard deviation of each component of a displacement.
+    """
+    weight = 1.0 / np.square(np.maximum(sigma, _SMALLEST_SIGMA_M))
     robust = weight
     total, mean = _weighted_means(patch, weight, moved, count)
     deviation = _deviation(moved, mean, patch, weight)
@@ -66,7 +86,7 @@ def average_patches(observation: Observation, lookup: SurfaceLookup) -> Observed
         robust = weight / (1.0 + (deviation / limit) ** 4)
         total, mean = _weighted_means(patch, robust, moved, count)
         deviation = _deviation(moved, mean, patch, weight)
-    _, place = _weighted_means(patch, robust, observation.reference, count)
+    _, place = _weighted_means(patch, robust, reference, count)
     observed = total > 0.0
     return ObservedPatches(place[observed], mean[observed], total[observed])
 
