@@ -309,7 +309,7 @@ def test_network_answers_with_weights_of_its_own(folder, scene, tmp_path, domain
     torch = pytest.importorskip("torch")
     from softtissue_estimator.estimators.paper.checkpoint import save_checkpoint
     from softtissue_estimator.estimators.paper.network import UNet, UNetArchitecture
-    from softtissue_estimator.estimators.paper.network_input import NetworkSpec
+    from softtissue_estimator.estimators.paper.network_spec import NetworkSpec
 
     torch.manual_seed(0)
     spec = NetworkSpec(spacing=0.008, margin_cells=2, architecture=UNetArchitecture(widths=(4, 4, 4, 8)))

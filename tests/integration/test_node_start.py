@@ -49,7 +49,7 @@ def test_wrong_organ_at_start_is_one_sentence_and_exit_code_2(tmp_path, case, wo
 def write_checkpoint_of_another_architecture(path):
     from softtissue_estimator.estimators.paper.checkpoint import save_checkpoint
     from softtissue_estimator.estimators.paper.network import UNet, UNetArchitecture
-    from softtissue_estimator.estimators.paper.network_input import NetworkSpec
+    from softtissue_estimator.estimators.paper.network_spec import NetworkSpec
 
     promised = NetworkSpec(architecture=UNetArchitecture(widths=(4, 4, 4, 8)))
     save_checkpoint(path, UNet(UNetArchitecture(widths=(4, 4, 6, 8))), promised, {})

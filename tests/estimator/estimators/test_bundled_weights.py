@@ -9,7 +9,7 @@ from softtissue_estimator.estimators.hybrid.checkpoint import load_hybrid_checkp
 from softtissue_estimator.estimators.hybrid.input import HybridSpec
 from softtissue_estimator.estimators.paper.checkpoint import Checkpoint, load_checkpoint
 from softtissue_estimator.estimators.paper.network import UNetArchitecture, parameter_count
-from softtissue_estimator.estimators.paper.network_input import CHANNELS
+from softtissue_estimator.estimators.paper.network_spec import CHANNELS
 from softtissue_estimator.support.resources import bundled_checkpoint
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from softtissue_estimator.estimators.paper.checkpoint import save_checkpoint
 from softtissue_estimator.estimators.paper.network import UNet, UNetArchitecture
-from softtissue_estimator.estimators.paper.network_input import NetworkSpec
+from softtissue_estimator.estimators.paper.network_spec import NetworkSpec
 from softtissue_estimator.support.cache import cache_folder
 from softtissue_training.cli import main
 from softtissue_training.errors import SolverDivergedError

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from softtissue_estimator.estimators.paper.grid import VoxelGrid
-from softtissue_estimator.estimators.paper.network_input import NetworkSpec, rigid_spec
+from softtissue_estimator.estimators.paper.network_spec import NetworkSpec, rigid_spec
 from softtissue_training.learning.augment import exchange_axes, flip, random_orientation
 from softtissue_training.learning.batch_order import epoch_batches
 from softtissue_training.learning.box import crop, draw_box, draw_growth, own_box

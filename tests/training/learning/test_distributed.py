@@ -16,7 +16,7 @@ from softtissue_training.learning.batch_source import BatchSource
 from softtissue_training.learning.dataset import draw_visible, prepare
 from softtissue_training.learning.distributed import Ranks, joined
 from softtissue_training.learning.learner import Batch, Learner
-from softtissue_training.learning.loss import sample_losses
+from softtissue_training.learning.loss import sample_losses, sigma_losses
 from softtissue_training.learning.run_files import LOG, LOSS
 from softtissue_training.learning.simulation_set import SimulationSet
 from softtissue_training.learning.training_config import get_config
@@ -51,12 +51,13 @@ def _gradients_of_two_batches(data: Path, ranks: Ranks) -> dict[str, torch.Tenso
     found = {}
     while wanted:
         batch = next(drawn)
-        if batch.count in wanted:
-            wanted.remove(batch.count)
+        count = len(batch.place.chosen)
+        if count in wanted:
+            wanted.remove(count)
             loss = ranks.sum(learner.gradient(source.voxelise(batch)))
-            found[f"{batch.count} loss"] = loss
+            found[f"{count} loss"] = loss
             for name, weight in learner.network.named_parameters():
-                found[f"{batch.count} {name}"] = weight.grad.clone()
+                found[f"{count} {name}"] = weight.grad.clone()
     drawn.close()
     return found
 
@@ -93,10 +94,12 @@ def test_gradient_is_that_of_the_mean_over_samples_whatever_their_grids(samples)
         prepared = prepare(samples[number], CONFIG.spec, surroundings=surroundings)
         seen = draw_visible(prepared, np.random.default_rng(number), (0.5, 0.5))
         voxels.append(voxelise(prepared, *seen, CONFIG.spec, CPU))
-    losses = [
-        sample_losses(learner.network.forward_all(inputs), target, mask, CONFIG.cube_cells)
-        for inputs, target, mask in voxels
-    ]
+    losses = []
+    for inputs, *truth in voxels:
+        outputs = learner.network.forward_all(inputs)
+        displacement = sample_losses(outputs, *truth, CONFIG.cube_cells)
+        sigma = sigma_losses(outputs[-1], *truth, CONFIG.cube_cells)
+        losses.append(displacement + CONFIG.sigma_weight * sigma)
     expected = torch.autograd.grad(torch.cat(losses).mean(), list(learner.network.parameters()))
     total = [torch.zeros_like(weight) for weight in learner.network.parameters()]
     for tensors in voxels:  # what two processes would each add

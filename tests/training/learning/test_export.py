@@ -4,7 +4,7 @@ import torch
 
 from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint, save_checkpoint
 from softtissue_estimator.estimators.paper.network import UNet, UNetArchitecture
-from softtissue_estimator.estimators.paper.network_input import NetworkSpec
+from softtissue_estimator.estimators.paper.network_spec import NetworkSpec
 from softtissue_training.cli import main
 
 

@@ -6,6 +6,7 @@ import torch
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.paper.network import UNet, initialise
+from softtissue_estimator.estimators.paper.network_spec import rigid_spec
 from softtissue_training.learning import precision
 from softtissue_training.learning.dataset import draw_visible, prepare
 from softtissue_training.learning.loss import multi_resolution_loss
@@ -21,7 +22,7 @@ def test_bfloat16_gradients_agree_with_float32(samples):
     prepared = prepare(samples[0], SPEC)
     visible = draw_visible(prepared, np.random.default_rng(0), (0.5, 0.5))
     inputs, target, mask = voxelise(prepared, *visible, SPEC, CPU)
-    network = UNet()
+    network = UNet(rigid_spec(SPEC.spacing).architecture)
     initialise(network, inputs, generator=torch.Generator().manual_seed(0))
     precision.restrict_autocast(network, CPU)
 

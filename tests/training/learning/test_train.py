@@ -1,6 +1,7 @@
 """Training as a whole: what a run leaves, how it ends, and that an interruption changes nothing."""
 
 import csv
+import dataclasses
 import json
 import os
 import signal
@@ -57,7 +58,9 @@ def test_run_leaves_weights_settings_curves_and_summary(data_folder, tmp_path):
     assert stored["versions"]["torch"] == torch.__version__
     assert all(part in summary.text() for part in (stored["data_sha256"][:16], str(data_folder), "seed 1"))
     checkpoint = load_checkpoint(tmp_path / WEIGHTS)
-    assert checkpoint.spec == TINY.spec
+    # What validation found replaces the factor of the standard deviation, and nothing else.
+    assert dataclasses.replace(checkpoint.spec, sigma_scale=1.0) == TINY.spec
+    assert 0.0 < checkpoint.spec.sigma_scale < 100.0 and checkpoint.spec.sigma_scale != 1.0
     assert checkpoint.provenance["validation_error_mm"] == pytest.approx(float(best["error_mm"]))
     assert checkpoint.provenance["data_sha256"] == stored["data_sha256"]
     assert json.loads((tmp_path / CONFIG).read_text())["name"] == "tiny"

@@ -65,8 +65,9 @@ def add(commands: Commands) -> None:
         choices=(*CONFIGS, *HYBRID_CONFIGS),
         default="paper",
         help="paper: 4.7 mm cells, for a GPU; paper-coarse: 9.4 mm, a fifth of the work; paper-original: as "
-        "published, in the organ's frame; tiny: for trying out; overfit: a few organs by heart; hybrid: what the elastic posterior leaves, 9.4 mm, for a CPU; hybrid-full: "
-        "4.7 mm, for a GPU; hybrid-tiny: for trying out (default: paper)",
+        "published, in the organ's frame; tiny: for trying out; overfit: a few organs by heart; hybrid: what the "
+        "elastic posterior leaves, 9.4 mm, for a CPU; hybrid-full: 4.7 mm, for a GPU; hybrid-tiny: "
+        "for trying out (default: paper)",
     )
     train.add_argument("--resume", action="store_true", help="go on with the unfinished run in OUT")
     _add_ends(train.add_argument_group("when it ends"))

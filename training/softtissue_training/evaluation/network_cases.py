@@ -21,10 +21,10 @@ from softtissue_estimator.estimators.hybrid.input import (
 from softtissue_estimator.estimators.hybrid.posterior import make_reader, observed_misfit
 from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
 from softtissue_estimator.estimators.paper.network_input import (
-    assemble_input,
     cached_channels,
+    field_of,
+    input_of,
     organ_grid,
-    visible_displacement,
 )
 from softtissue_estimator.observation.bending_organ import NOISE_M, BendingOrgan
 from softtissue_estimator.observation.observation import Observation, make_observation
@@ -58,21 +58,21 @@ class NetworkCase:
 
 
 def paper_case(organ: Organ, config: EstimatorConfig) -> NetworkCase:
-    """Return the paper's network with the bundled weights and an input of this organ."""
+    """Return the paper's network with the bundled weights and an input of this organ.
+
+    Its answers are a displacement and, if it gives one, a standard deviation; the larger difference of the two counts.
+    """
     checkpoint = load_checkpoint(bundled_checkpoint())
     spec = checkpoint.spec
     channels = cached_channels(organ, organ_grid(organ.surface, spec))
-    observation = _observation(organ, config)
-    parts = (
-        torch.from_numpy(part)
-        for part in (observation.reference, observation.displacement, observation.sigma)
-    )
-    inputs = assemble_input(channels, visible_displacement(channels.grid, *parts), spec)
+    inputs = input_of(organ, channels, _observation(organ, config), spec)
     inside = channels.organ_mask
 
     def difference_mm(first: Tensor, second: Tensor) -> float:
-        apart = (first - second)[0][:, inside] * spec.output_scale
-        return 1e3 * float(apart.norm(dim=0).max())
+        answers = [field_of(outputs[0][:, inside].T, spec) for outputs in (first, second)]
+        apart = answers[0] - answers[1]
+        moved, spread = apart[:, :3].norm(dim=1), apart[:, 3:].abs()
+        return 1e3 * max(float(moved.max()), float(spread.max()) if spec.gives_sigma else 0.0)
 
     return NetworkCase("paper", checkpoint.network, inputs, difference_mm)
 

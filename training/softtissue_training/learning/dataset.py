@@ -17,11 +17,11 @@ from torch import Tensor
 
 from softtissue_estimator.estimators.paper.grid import VoxelGrid
 from softtissue_estimator.estimators.paper.network_input import (
-    NetworkSpec,
     channels_on_grid,
     organ_grid,
     zero_displacement,
 )
+from softtissue_estimator.estimators.paper.network_spec import NetworkSpec
 from softtissue_estimator.organ.mesh import face_areas, sample_faces
 from softtissue_training.learning.voxel_target import voxel_displacement
 from softtissue_training.organs.organ_shape import CUBE_SIDE_M

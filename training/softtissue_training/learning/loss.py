@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from softtissue_estimator.estimators.paper.network_input import LOG_SIGMA_RANGE
+from softtissue_estimator.estimators.paper.network_spec import LOG_SIGMA_RANGE
 
 _SMOOTH = 0.02  # of the target's unit: nearer than this a distance is squared
 

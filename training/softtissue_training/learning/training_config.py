@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, get_args
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.estimators.paper.network_input import NetworkSpec, rigid_spec
+from softtissue_estimator.estimators.paper.network_spec import NetworkSpec, rigid_spec
 from softtissue_training.organs.organ_shape import CUBE_SIDE_M
 
 Loss = Literal["squared", "distance"]

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from softtissue_estimator.estimators.paper.network import UNet
-from softtissue_estimator.estimators.paper.network_input import LOG_SIGMA_RANGE, NetworkSpec
+from softtissue_estimator.estimators.paper.network_spec import LOG_SIGMA_RANGE, NetworkSpec
 from softtissue_estimator.observation.rigid import fit_rigid
 from softtissue_training.learning.batch_order import slots_of
 from softtissue_training.learning.box import crop, own_box

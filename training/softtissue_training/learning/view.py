@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from softtissue_estimator.estimators.paper.network_input import NetworkSpec
+from softtissue_estimator.estimators.paper.network_spec import NetworkSpec
 from softtissue_estimator.estimators.paper.rigid_frame import RIGID, fit_frame_of_points, into_frame
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_training.learning.dataset import PreparedSample, draw_visible

@@ -8,11 +8,8 @@ import torch
 from torch import Tensor
 
 from softtissue_estimator.estimators.paper.grid import VoxelGrid
-from softtissue_estimator.estimators.paper.network_input import (
-    NetworkSpec,
-    known_displacement,
-    stacked_channels,
-)
+from softtissue_estimator.estimators.paper.network_input import known_displacement, stacked_channels
+from softtissue_estimator.estimators.paper.network_spec import NetworkSpec
 from softtissue_estimator.estimators.paper.rasterise import rasterise_many
 from softtissue_estimator.estimators.paper.rigid_frame import into_frames
 from softtissue_training.learning.dataset import PreparedSample

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from softtissue_estimator.errors import CheckpointError
 from softtissue_estimator.estimators.paper.network import UNet, UNetArchitecture
-from softtissue_estimator.estimators.paper.network_input import NetworkSpec
+from softtissue_estimator.estimators.paper.network_spec import NetworkSpec
 
 FORMAT = "softtissue-checkpoint"
 VERSION = 1

@@ -1,7 +1,7 @@
 """The paper's estimator: displaced surface onto the grid, U-Net, displacement field (Pfeiffer et al. 2019).
 
-Its network answers in the organ's frame, as published, or in that of the rigid motion of what is observed (`rigid_frame`),
-as its checkpoint says.
+Its network answers in the organ's frame, as published, or in that of the rigid motion of what is observed
+(`rigid_frame`), as its checkpoint says.
 """
 
 from __future__ import annotations
@@ -22,29 +22,22 @@ from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progr
 from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
 from softtissue_estimator.estimators.paper.displacement_field import FieldSampler
 from softtissue_estimator.estimators.paper.network_input import (
-    NetworkSpec,
     OrganChannels,
     assemble_input,
     cached_channels,
     field_of,
     from_batch,
-    known_displacement,
-    observed_displacement,
+    known_of,
+    motion_of,
     organ_grid,
 )
-from softtissue_estimator.estimators.paper.rigid_frame import (
-    RIGID,
-    fit_frame,
-    into_frame,
-    into_frames,
-    out_of_frame,
-)
+from softtissue_estimator.estimators.paper.network_spec import NetworkSpec
+from softtissue_estimator.estimators.paper.rigid_frame import out_of_frame
 from softtissue_estimator.inference.captured_call import CapturedCall
-from softtissue_estimator.inference.device import StageClock, choose_device, one_thread, to_device, to_host
+from softtissue_estimator.inference.device import StageClock, choose_device, one_thread, to_host
 from softtissue_estimator.inference.precision import choose_precision
 from softtissue_estimator.inference.runtime import NetworkRuntime
 from softtissue_estimator.observation.observation import Observation
-from softtissue_estimator.observation.patch_average import average_patches
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.support.resources import bundled_checkpoint
@@ -158,8 +151,7 @@ class PaperEstimator(Estimator):
             with torch.inference_mode():
                 nothing_observed = torch.zeros((*channels.grid.shape, 4), device=device)
                 call = CapturedCall(answer, nothing_observed, progress)
-        cells = torch.from_numpy(channels.grid.points()).float().reshape(*channels.grid.shape, 3).to(device)
-        self._prepared = _Prepared(organ, channels, cells, field, sampler, call)
+        self._prepared = _Prepared(organ, channels, channels.cells(), field, sampler, call)
 
     def estimate(self, observation: Observation) -> Estimate:
         """Rasterise the visible displacement, run the network, read its field at the organ's query points."""
@@ -168,11 +160,10 @@ class PaperEstimator(Estimator):
             raise InvalidInputError("no organ is loaded: expected load_organ before the first observation")
         with torch.inference_mode(), self._threads():
             clock = StageClock(self._device)
-            motion = None
-            if self._spec.frame == RIGID:
-                motion = fit_frame(average_patches(observation, prepared.organ.surface_lookup))
+            motion = motion_of(prepared.organ, observation, self._spec)
+            if motion is not None:
                 clock.lap("rigid")
-            known = self._known(prepared, observation, motion)
+            known = known_of(observation, prepared.channels, prepared.cells, motion)
             clock.lap("rasterise")
             if prepared.answer.captured:
                 field, values = prepared.answer(known)
@@ -186,24 +177,6 @@ class PaperEstimator(Estimator):
         return PaperEstimate(
             prepared.organ, prepared.channels, field, motion, values.double().numpy(), clock.stages()
         )
-
-    def _known(self, prepared: _Prepared, observation: Observation, motion: RigidMotion | None) -> Tensor:
-        """Return what the network is told of this frame, (X, Y, Z, 4)."""
-        displacement, attached = observation.displacement, None
-        if motion is not None:
-            displacement = into_frame(motion, observation.reference, displacement)
-            rotation, translation = (
-                to_device(part[None], self._device).float() for part in (motion.rotation, motion.translation)
-            )
-            still = torch.zeros((), device=self._device)
-            attached = into_frames(rotation, translation, prepared.cells[None], still)[0]
-        visible, observed = observed_displacement(
-            prepared.channels.grid,
-            to_device(observation.reference, self._device),
-            to_device(displacement, self._device),
-            to_device(observation.sigma, self._device),
-        )
-        return known_displacement(visible, observed, prepared.channels.zero_displacement, attached)
 
     def _threads(self) -> AbstractContextManager[None]:
         # In half precision one core answers in milliseconds; a second would save a few of them on an idle machine

@@ -1,14 +1,11 @@
 """From an organ and an observation to the tensor that a network reads: the only implementation, for training and use.
 
-Channel order and scales follow the paper (section "Grid"): signed distance and zero-displacement flag are multiplied by
-0.1, everything is in metres. A network may carry a further common factor (`NetworkSpec.input_scales`), which is the
-same function of its inputs with a better conditioned first layer.
+Channels, scales and frame are those of the network's specification (`network_spec`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -16,9 +13,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from softtissue_estimator.estimators.paper.grid import VoxelGrid
-from softtissue_estimator.estimators.paper.network import UNetArchitecture
+from softtissue_estimator.estimators.paper.network_spec import LOG_SIGMA_RANGE, OBSERVED, NetworkSpec
 from softtissue_estimator.estimators.paper.rasterise import rasterise
-from softtissue_estimator.estimators.paper.rigid_frame import ORGAN, RIGID
+from softtissue_estimator.estimators.paper.rigid_frame import RIGID, fit_frame, into_frame, into_frames
+from softtissue_estimator.inference.device import to_device
+from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.observation.patch_average import average_patches
+from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import SurfaceMesh, sample_faces
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.organ.signed_distance import signed_distance
@@ -26,95 +27,7 @@ from softtissue_estimator.support.cache import Arrays, cached_arrays
 
 FloatArray = NDArray[np.float64]
 
-CHANNELS = (
-    "signed_distance",
-    "visible_displacement_x",
-    "visible_displacement_y",
-    "visible_displacement_z",
-    "zero_displacement",
-)
-OBSERVED = (
-    "observed"  # 1 where something was observed: a point that did not move is told from one that was not seen
-)
 PREPROCESSING_VERSION = 1  # raise it whenever the channels of an organ change: caches depend on it
-PAPER_SCALES = (0.1, 1.0, 1.0, 1.0, 0.1)
-COMMON_FACTOR = 50.0  # one network unit is then 20 mm, near the displacements that are to be told apart
-LOG_SIGMA_RANGE = (-6.0, 4.0)  # of a standard deviation in the network's unit of length
-RIGID_UNIT_M = 0.005  # what is left to tell apart in the frame of the rigid motion
-
-
-@dataclass(frozen=True)
-class NetworkSpec:
-    """What a network needs to know about its input; stored in its checkpoint, never a parameter.
-
-    Attributes
-    ----------
-    spacing
-        Distance between cell centres, metres.
-    channels
-        Names of the input channels, in order.
-    input_scales
-        Factor of each channel, from SI units to the network's.
-    output_scale
-        Metres of displacement per unit of output.
-    cube_side_m
-        Side of the cube that the network was trained on; 0 if it was trained on the organ's bounding box.
-    margin_cells
-        Free cells on each side of the organ's bounding box.
-    architecture
-        Shapes of the weights.
-    frame
-        Frame of all displacements: "organ", or "rigid", that of the rigid motion of what is observed (`rigid_frame`).
-    sigma_scale
-        Factor from the standard deviation that the network says to the one that held-out organs show.
-    """
-
-    spacing: float = 0.30 / 64
-    channels: tuple[str, ...] = CHANNELS
-    input_scales: tuple[float, ...] = tuple(scale * COMMON_FACTOR for scale in PAPER_SCALES)
-    output_scale: float = 1.0 / COMMON_FACTOR
-    cube_side_m: float = 0.0
-    margin_cells: int = 2
-    architecture: UNetArchitecture = UNetArchitecture()
-    frame: str = ORGAN
-    sigma_scale: float = 1.0
-
-    @property
-    def gives_sigma(self) -> bool:
-        """Whether a fourth output is the logarithm of the standard deviation of each component."""
-        return self.architecture.out_channels == 4
-
-
-_SPEC_FIELDS = frozenset(field.name for field in fields(NetworkSpec))
-
-
-def rigid_spec(spacing: float, *, sigma: bool = True, observed: bool = True, **changes: Any) -> NetworkSpec:
-    """Return the specification of a network in the frame of the rigid motion.
-
-    Parameters
-    ----------
-    sigma
-        Whether it says how sure it is.
-    observed
-        Whether a sixth channel says what was observed.
-    changes
-        Other fields of `NetworkSpec`, and of its architecture.
-    """
-    spec_changes = {name: changes.pop(name) for name in list(changes) if name in _SPEC_FIELDS}
-    architecture = UNetArchitecture(
-        in_channels=6 if observed else 5, out_channels=4 if sigma else 3, **changes
-    )
-    unit = 1.0 / RIGID_UNIT_M
-    distance, flag = (COMMON_FACTOR * PAPER_SCALES[index] for index in (0, -1))
-    return NetworkSpec(
-        spacing=spacing,
-        channels=(*CHANNELS, OBSERVED) if observed else CHANNELS,
-        input_scales=(distance, unit, unit, unit, flag, *([1.0] if observed else [])),
-        output_scale=RIGID_UNIT_M,
-        architecture=architecture,
-        frame=RIGID,
-        **spec_changes,
-    )
 
 
 @dataclass(frozen=True)
@@ -139,6 +52,11 @@ class OrganChannels:
     def organ_mask(self) -> Tensor:
         """(X, Y, Z) bool, true inside the organ."""
         return self.signed_distance <= 0.0
+
+    def cells(self) -> Tensor:
+        """Return where the cells are, (X, Y, Z, 3) float32 metres, on the device of the channels."""
+        points = torch.from_numpy(self.grid.points()).float().reshape(*self.grid.shape, 3)
+        return points.to(self.signed_distance.device)
 
     def to(self, device: str | torch.device) -> OrganChannels:
         """Return the same channels on another device."""
@@ -263,12 +181,55 @@ def known_displacement(
     Returns
     -------
     Tensor
-        (..., 4): the displacement, metres, that of attached tissue where nothing was observed; and 1 where something was.
+        (..., 4): the displacement, metres, which is that of attached tissue where nothing was observed; and 1 where
+        something was.
     """
     if attached is not None:
         flagged = zero_displacement.unsqueeze(-1) * attached
         visible = torch.where(observed.unsqueeze(-1), visible, flagged)
     return torch.cat([visible, observed.unsqueeze(-1).to(visible.dtype)], dim=-1)
+
+
+def motion_of(organ: Organ, observation: Observation, spec: NetworkSpec) -> RigidMotion | None:
+    """Return the rigid motion in whose frame a network is told an observation; None where that is the organ's."""
+    if spec.frame != RIGID:
+        return None
+    return fit_frame(average_patches(observation, organ.surface_lookup))
+
+
+def known_of(
+    observation: Observation, channels: OrganChannels, cells: Tensor, motion: RigidMotion | None
+) -> Tensor:
+    """Return what is known of an observation in the frame of a motion, as `known_displacement` does.
+
+    Parameters
+    ----------
+    cells
+        As `OrganChannels.cells` returns them, on the device of the channels.
+    motion
+        As `motion_of` returns it.
+    """
+    displacement, attached, device = observation.displacement, None, cells.device
+    if motion is not None:
+        displacement = into_frame(motion, observation.reference, displacement)
+        rotation, translation = (
+            to_device(part[None], device).float() for part in (motion.rotation, motion.translation)
+        )
+        still = torch.zeros((), device=device)
+        attached = into_frames(rotation, translation, cells[None], still)[0]
+    visible, observed = observed_displacement(
+        channels.grid,
+        to_device(observation.reference, device),
+        to_device(displacement, device),
+        to_device(observation.sigma, device),
+    )
+    return known_displacement(visible, observed, channels.zero_displacement, attached)
+
+
+def input_of(organ: Organ, channels: OrganChannels, observation: Observation, spec: NetworkSpec) -> Tensor:
+    """Return what a network reads of an observation, (1, c, X, Y, Z) float32, on the device of the channels."""
+    known = known_of(observation, channels, channels.cells(), motion_of(organ, observation, spec))
+    return assemble_input(channels, known, spec)
 
 
 def assemble_input(channels: OrganChannels, known: Tensor, spec: NetworkSpec) -> Tensor:

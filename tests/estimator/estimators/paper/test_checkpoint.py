@@ -10,7 +10,7 @@ from safetensors.torch import load_file, save_file
 from softtissue_estimator.errors import CheckpointError
 from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint, save_checkpoint
 from softtissue_estimator.estimators.paper.network import UNet, UNetArchitecture
-from softtissue_estimator.estimators.paper.network_input import NetworkSpec
+from softtissue_estimator.estimators.paper.network_spec import NetworkSpec
 
 SPEC = NetworkSpec(spacing=0.006, margin_cells=3, architecture=UNetArchitecture(widths=(4, 4, 4, 8)))
 

@@ -18,12 +18,12 @@ from softtissue_estimator.estimators.paper.checkpoint import save_checkpoint
 from softtissue_estimator.estimators.paper.estimator import PaperEstimator
 from softtissue_estimator.estimators.paper.network import UNet, UNetArchitecture
 from softtissue_estimator.estimators.paper.network_input import (
-    NetworkSpec,
     assemble_input,
     from_batch,
     organ_channels,
     visible_displacement,
 )
+from softtissue_estimator.estimators.paper.network_spec import NetworkSpec
 from softtissue_estimator.inference.captured_call import CapturedCall
 from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.organ.mesh import SurfaceMesh

@@ -5,8 +5,6 @@ import torch
 import trimesh
 
 from softtissue_estimator.estimators.paper.network_input import (
-    CHANNELS,
-    NetworkSpec,
     assemble_input,
     from_batch,
     organ_channels,
@@ -14,6 +12,7 @@ from softtissue_estimator.estimators.paper.network_input import (
     to_batch,
     visible_displacement,
 )
+from softtissue_estimator.estimators.paper.network_spec import CHANNELS, NetworkSpec
 from softtissue_estimator.organ.mesh import SurfaceMesh
 
 SPEC = NetworkSpec()
