@@ -9,7 +9,8 @@ from softtissue_estimator.estimators.hybrid.checkpoint import load_hybrid_checkp
 from softtissue_estimator.estimators.hybrid.input import HybridSpec
 from softtissue_estimator.estimators.paper.checkpoint import Checkpoint, load_checkpoint
 from softtissue_estimator.estimators.paper.network import UNetArchitecture, parameter_count
-from softtissue_estimator.estimators.paper.network_spec import CHANNELS
+from softtissue_estimator.estimators.paper.network_spec import CHANNELS, OBSERVED, RIGID_UNIT_M
+from softtissue_estimator.estimators.paper.rigid_frame import RIGID
 from softtissue_estimator.support.resources import bundled_checkpoint
 
 
@@ -19,11 +20,17 @@ def checkpoint() -> Checkpoint:
 
 
 def test_they_are_the_papers_network(checkpoint: Checkpoint) -> None:
-    assert checkpoint.spec.architecture == UNetArchitecture()
-    assert parameter_count(checkpoint.network.requires_grad_(True)) == 9_080_844
-    assert checkpoint.spec.channels == CHANNELS
+    # Beside the paper's own, a channel for what was observed and, at every resolution, one for the deviation.
+    widths = UNetArchitecture().widths
+    more = 27 * widths[0] + sum(27 * width + 1 for width in widths)
+    assert checkpoint.spec.architecture == UNetArchitecture(in_channels=6, out_channels=4)
+    assert parameter_count(checkpoint.network.requires_grad_(True)) == 9_080_844 + more
+    assert checkpoint.spec.channels == (*CHANNELS, OBSERVED)
+    assert checkpoint.spec.frame == RIGID and checkpoint.spec.gives_sigma
+    # The paper's proportion of distance and flag; displacements in units of what is left to tell apart.
     scales = np.array(checkpoint.spec.input_scales)
-    np.testing.assert_allclose(scales / scales[1], [0.1, 1.0, 1.0, 1.0, 0.1])
+    np.testing.assert_allclose(scales * RIGID_UNIT_M, [0.025, 1.0, 1.0, 1.0, 0.025, RIGID_UNIT_M])
+    assert checkpoint.spec.output_scale == RIGID_UNIT_M
 
 
 def test_they_say_where_they_come_from(checkpoint: Checkpoint) -> None:

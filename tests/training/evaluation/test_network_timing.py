@@ -5,8 +5,9 @@ import torch
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
 from softtissue_estimator.organ.organ import load_organ
-from softtissue_estimator.support.resources import bundled_organ
+from softtissue_estimator.support.resources import bundled_checkpoint, bundled_organ
 from softtissue_training.evaluation import network_timing, other_runtimes
 from softtissue_training.evaluation.network_cases import hybrid_case, paper_case
 from softtissue_training.evaluation.network_timing import OURS, main, table, time_networks
@@ -61,9 +62,10 @@ def test_another_runtime_has_its_rows_where_it_is_installed(organ, monkeypatch):
         for network in ("paper", "hybrid")
         for precision in ("float32", "bfloat16", "float16")
     }
-    # 0.01 of each component's unit of 20 mm.
+    # 0.01 of each component's unit.
+    unit_mm = 1e3 * load_checkpoint(bundled_checkpoint()).spec.output_scale
     paper = next(row for row in rows if row["network"] == "paper")
-    assert paper["difference_mm"] == pytest.approx(0.2 * 3**0.5, abs=1e-3)
+    assert paper["difference_mm"] == pytest.approx(0.01 * unit_mm * 3**0.5, abs=1e-3)
 
 
 @pytest.mark.parametrize("make", [paper_case, hybrid_case])

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
+from softtissue_estimator.estimators.paper.network_spec import NetworkSpec
 from softtissue_training.learning.batch_source import fixed_view
 from softtissue_training.learning.box import crop, own_box
 from softtissue_training.learning.run_files import WEIGHTS
@@ -21,10 +22,14 @@ from softtissue_training.learning.training_config import get_config
 from softtissue_training.learning.voxels import Voxeliser
 
 OVERFIT = get_config("overfit")
-# Boxes of 16 and 24 cells in a cube of 32.
+# Boxes of 16 and 24 cells in a cube of 32; in the organ's frame, as the paper's network.
 BOXES = dataclasses.replace(
     OVERFIT,
-    spec=dataclasses.replace(get_config("tiny").spec, spacing=0.30 / 32),
+    spec=NetworkSpec(
+        spacing=0.30 / 32,
+        margin_cells=1,
+        architecture=dataclasses.replace(get_config("tiny").spec.architecture, in_channels=5, out_channels=3),
+    ),
     batch_size=4,
     ema_decay=0.9,
 )

@@ -1,5 +1,6 @@
 """Checkpoints: what is stored comes back, and what does not fit is refused in one sentence."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -10,7 +11,8 @@ from safetensors.torch import load_file, save_file
 from softtissue_estimator.errors import CheckpointError
 from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint, save_checkpoint
 from softtissue_estimator.estimators.paper.network import UNet, UNetArchitecture
-from softtissue_estimator.estimators.paper.network_spec import NetworkSpec
+from softtissue_estimator.estimators.paper.network_spec import CHANNELS, NetworkSpec, rigid_spec
+from softtissue_estimator.estimators.paper.rigid_frame import ORGAN, RIGID
 
 SPEC = NetworkSpec(spacing=0.006, margin_cells=3, architecture=UNetArchitecture(widths=(4, 4, 4, 8)))
 
@@ -121,3 +123,22 @@ def test_failed_write_keeps_the_old_file(stored: Path) -> None:
     with pytest.raises(TypeError):
         save_checkpoint(stored, UNet(SPEC.architecture), SPEC, {"unwritable": object()})
     assert stored.read_bytes() == before
+
+
+def test_checkpoints_without_a_frame_are_of_the_organs(stored: Path) -> None:
+    """As written before networks had frames and standard deviations."""
+    fields = dataclasses.asdict(SPEC)
+    assert (fields.pop("frame"), fields.pop("sigma_scale")) == ("organ", 1.0)
+    _rewrite(stored, spec=json.dumps(fields))
+    checkpoint = load_checkpoint(stored)
+    assert checkpoint.spec == SPEC
+    assert checkpoint.spec.frame == ORGAN and not checkpoint.spec.gives_sigma
+    assert checkpoint.spec.channels == CHANNELS
+
+
+def test_frame_and_scale_of_the_deviation_come_back(tmp_path: Path) -> None:
+    spec = rigid_spec(0.006, widths=(4, 4, 4, 8), sigma_scale=0.6)
+    save_checkpoint(tmp_path / "rigid.safetensors", UNet(spec.architecture), spec, {})
+    stored = load_checkpoint(tmp_path / "rigid.safetensors").spec
+    assert stored == spec
+    assert stored.frame == RIGID and stored.gives_sigma and stored.sigma_scale == 0.6
