@@ -209,18 +209,19 @@ def known_of(
     motion
         As `motion_of` returns it.
     """
-    displacement, attached, device = observation.displacement, None, cells.device
-    if motion is not None:
-        displacement = into_frame(motion, observation.reference, displacement)
-        rotation, translation = (
-            to_device(part[None], device).float() for part in (motion.rotation, motion.translation)
-        )
-        still = torch.zeros((), device=device)
-        attached = into_frames(rotation, translation, cells[None], still)[0]
+    attached, device = None, cells.device
+    if motion is None:
+        displacement = to_device(observation.displacement, device)
+    else:
+        in_frame = into_frame(motion, observation.reference, observation.displacement)
+        # The motion's few numbers travel with the displacements: each copy to a GPU has its price.
+        rows = np.concatenate([in_frame, motion.rotation, motion.translation[None]])
+        displacement, rotation, translation = to_device(rows, device).float().split([len(in_frame), 3, 1])
+        attached = into_frames(rotation[None], translation, cells[None], torch.zeros((), device=device))[0]
     visible, observed = observed_displacement(
         channels.grid,
         to_device(observation.reference, device),
-        to_device(displacement, device),
+        displacement,
         to_device(observation.sigma, device),
     )
     return known_displacement(visible, observed, channels.zero_displacement, attached)
