@@ -1,15 +1,17 @@
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
 import torch
 
 from softtissue_estimator.estimators.paper.grid import VoxelGrid
+from softtissue_estimator.estimators.paper.network_input import organ_grid
 from softtissue_estimator.estimators.paper.network_spec import NetworkSpec, rigid_spec
 from softtissue_training.learning.augment import exchange_axes, flip, random_orientation
 from softtissue_training.learning.batch_order import epoch_batches
 from softtissue_training.learning.box import crop, draw_box, draw_growth, own_box
-from softtissue_training.learning.dataset import draw_visible, prepare
+from softtissue_training.learning.dataset import draw_visible, longest_axis_last, prepare
 from softtissue_training.learning.view import view_of
 from softtissue_training.learning.voxel_target import voxel_displacement
 from softtissue_training.learning.voxels import Voxeliser, voxelise
@@ -242,3 +244,41 @@ def test_mirrored_copies_keep_the_axes_and_one_orientation_changes_nothing(sampl
     assert found == set(range(8))
     same = random_orientation(*voxels, np.random.default_rng(0), shape, orientations=1)
     assert all(torch.equal(one, other) for one, other in zip(same, voxels, strict=True))
+
+
+def _signed_volumes(sample):
+    """Of the tetrahedra, and the volume that the surface's triangles enclose; m^3."""
+    corners = sample.vertices[sample.tets].astype(np.float64)
+    tets = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6.0
+    triangles = sample.vertices[sample.faces].astype(np.float64)
+    return tets, np.linalg.det(triangles).sum() / 6.0
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations(range(3))))
+def test_the_longest_axis_comes_last_whatever_the_position(samples, order):
+    spec = NetworkSpec(spacing=0.30 / 96, margin_cells=0)
+    sample = dataclasses.replace(samples[0], vertices=samples[0].vertices * np.float32([0.5, 0.8, 1.2]))
+    assert len(set(organ_grid(sample.surface, spec).shape)) == 3
+    odd = np.linalg.det(np.eye(3)[list(order)]) < 0.0
+    turned = dataclasses.replace(
+        sample,
+        vertices=sample.vertices[:, order],
+        displacement=sample.displacement[:, order],
+        faces=sample.faces[:, [0, 2, 1]] if odd else sample.faces,
+        tets=sample.tets[:, [0, 1, 3, 2]] if odd else sample.tets,
+    )
+    found = longest_axis_last(turned, spec)
+    shape = organ_grid(found.surface, spec).shape
+    assert list(shape) == sorted(shape)
+    # One organ in six positions is six times the same.
+    expected = longest_axis_last(sample, spec)
+    np.testing.assert_array_equal(found.vertices, expected.vertices)
+    np.testing.assert_array_equal(found.displacement, expected.displacement)
+    tets, enclosed = _signed_volumes(found)
+    assert (tets > 0.0).all()
+    assert enclosed == pytest.approx(tets.sum(), rel=1e-4)
+    axis = [
+        int(np.flatnonzero((found.vertices[:, [part]] == sample.vertices).all(axis=0))[0])
+        for part in range(3)
+    ]
+    np.testing.assert_array_equal(found.displacement, sample.displacement[:, axis])

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
@@ -87,8 +88,9 @@ def _data_of_one_kind(records, folder: Path) -> Path:
     return folder
 
 
-def test_gradient_is_that_of_the_mean_over_samples_whatever_their_grids(samples):
-    learner = Learner(CONFIG, CPU, Ranks(), bfloat16=False)
+@pytest.mark.parametrize("loss", ["squared", "distance"])
+def test_gradient_is_that_of_the_mean_over_samples_whatever_their_grids(samples, loss):
+    learner = Learner(dataclasses.replace(CONFIG, loss=loss), CPU, Ranks(), bfloat16=False)
     voxels = []
     for number, surroundings in ((1, False), (1, True)):
         prepared = prepare(samples[number], CONFIG.spec, surroundings=surroundings)
@@ -97,7 +99,7 @@ def test_gradient_is_that_of_the_mean_over_samples_whatever_their_grids(samples)
     losses = []
     for inputs, *truth in voxels:
         outputs = learner.network.forward_all(inputs)
-        displacement = sample_losses(outputs, *truth, CONFIG.cube_cells)
+        displacement = sample_losses(outputs, *truth, CONFIG.cube_cells, distance=loss == "distance")
         sigma = sigma_losses(outputs[-1], *truth, CONFIG.cube_cells)
         losses.append(displacement + CONFIG.sigma_weight * sigma)
     expected = torch.autograd.grad(torch.cat(losses).mean(), list(learner.network.parameters()))

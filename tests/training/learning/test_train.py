@@ -107,6 +107,26 @@ def _assert_same_run(one: Path, other: Path) -> None:
             assert torch.equal(tensor, got[key]), key
 
 
+def test_processes_that_draw_leave_the_curve_of_the_thread_bit_for_bit(data_folder, tmp_path):
+    config = get_config(
+        "tiny",
+        noise_m=(0.0, 0.003),
+        noisy=0.5,
+        correspondences=(8, 60),
+        sparse=0.3,
+        misregistered=0.5,
+        misattached=0.5,
+    )
+    schedule = Schedule(steps=12, validate_every_steps=6)
+    for drawers in (0, 2):
+        train(data_folder, tmp_path / str(drawers), config, schedule, RunOptions(drawers=drawers))
+    losses = [float(row["loss"]) for row in _rows(tmp_path / "0" / LOSS)]
+    assert len(losses) == 12 and len(set(losses)) > 6
+    _assert_same_run(tmp_path / "0", tmp_path / "2")
+    with pytest.raises(InvalidInputError, match="leave --watch or --drawers out"):
+        train(data_folder, tmp_path / "both", config, schedule, RunOptions(drawers=2, watch=True))
+
+
 def test_killed_and_resumed_run_leaves_the_same_curve_as_an_undisturbed_one(data_folder, tmp_path):
     once, killed = tmp_path / "once", tmp_path / "killed"
     arguments = ["train", "--data", str(data_folder), "--config", "tiny", "--steps", "150"]
