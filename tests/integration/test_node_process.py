@@ -145,19 +145,21 @@ def test_newest_cloud_wins_and_every_cloud_is_counted(slow, scene, domain):
     sent = []
     with slow(domain, 0.25) as _, Client(domain) as client:
         client.wait_until_connected()
+        began = time.monotonic()
         for _ in range(40):
             sent.append(next(stamps))
             client.clouds.publish(scene.cloud(sent[-1]))
             client.spin(0.03)
         last = client.status_of(sent[-1])
         client.answer_of(sent[-1])
+        elapsed = time.monotonic() - began
     answered = [nanoseconds(answer.header.stamp) for answer in client.answers]
     assert answered == sorted(set(answered)), "never an old cloud after a newer one, never one twice"
     assert set(answered) <= set(sent)
     assert (last.frames_received, last.frames_answered) == (len(sent), len(answered))
     assert last.frames_answered + last.frames_dropped == len(sent)
     assert last.frames_refused == 0
-    assert 3 <= len(answered) <= 10  # 1.2 s of clouds at 0.25 s each
+    assert 3 <= len(answered) <= elapsed / 0.25  # at least 1.2 s of clouds at 0.25 s each
 
 
 def test_services_and_parameters_answer_while_an_estimate_runs(slow, scene, domain):

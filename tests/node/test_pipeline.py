@@ -69,7 +69,7 @@ def pipeline(recorder, crashes):
 
 def test_the_next_frame_is_estimated_while_an_answer_is_on_its_way(pipeline, recorder):
     pipeline.put(1)
-    wait_for(lambda: recorder.estimated == [1])
+    wait_for(lambda: recorder.begun == [1])
     pipeline.put(2)
     wait_for(lambda: recorder.estimated == [1, 2])
     assert recorder.delivered == []

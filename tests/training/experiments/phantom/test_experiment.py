@@ -15,7 +15,6 @@ from softtissue_estimator.registration.elastic_registration import (
     ElasticRegistrationSettings,
     register_elastically,
 )
-from softtissue_estimator.view import picture
 from softtissue_training.cli import main
 from softtissue_training.evaluation.methods import parse_methods
 from softtissue_training.experiments.coherent_point_drift import DriftSettings
@@ -32,7 +31,9 @@ from training.phantom_cases import MARKERS_M, bend, seen_points, write_case
 @pytest.fixture(autouse=True, scope="module")
 def _small_pictures():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(picture, "_PANEL", (200, 280))  # drawn in a twentieth of the time
+        patch.setattr(
+            "softtissue_estimator.view.panels._PANEL", (200, 280)
+        )  # drawn in a twentieth of the time
         yield
 
 

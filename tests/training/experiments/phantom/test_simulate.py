@@ -12,7 +12,6 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.organ.signed_distance import signed_distance
 from softtissue_estimator.organ.volume_mesh import tetrahedralise
-from softtissue_estimator.view import picture
 from softtissue_training.cli import main
 from softtissue_training.experiments.phantom.case import load_phantom_case
 from softtissue_training.experiments.phantom.simulate import (
@@ -29,7 +28,7 @@ COARSE = PushSettings(element_size_m=0.018, largest_m=0.02, visible_share=0.3)
 @pytest.fixture(autouse=True, scope="module")
 def _small_pictures():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(picture, "_PANEL", (200, 280))
+        patch.setattr("softtissue_estimator.view.panels._PANEL", (200, 280))
         yield
 
 
