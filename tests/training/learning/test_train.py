@@ -60,7 +60,7 @@ def test_run_leaves_weights_settings_curves_and_summary(data_folder, tmp_path):
     checkpoint = load_checkpoint(tmp_path / WEIGHTS)
     # What validation found replaces the factor of the standard deviation, and nothing else.
     assert dataclasses.replace(checkpoint.spec, sigma_scale=1.0) == TINY.spec
-    assert 0.0 < checkpoint.spec.sigma_scale < 100.0 and checkpoint.spec.sigma_scale != 1.0
+    assert 0.0 <= checkpoint.spec.sigma_scale < 100.0 and checkpoint.spec.sigma_scale != 1.0
     assert checkpoint.provenance["validation_error_mm"] == pytest.approx(float(best["error_mm"]))
     assert checkpoint.provenance["data_sha256"] == stored["data_sha256"]
     assert json.loads((tmp_path / CONFIG).read_text())["name"] == "tiny"
@@ -123,8 +123,6 @@ def test_processes_that_draw_leave_the_curve_of_the_thread_bit_for_bit(data_fold
     losses = [float(row["loss"]) for row in _rows(tmp_path / "0" / LOSS)]
     assert len(losses) == 12 and len(set(losses)) > 6
     _assert_same_run(tmp_path / "0", tmp_path / "2")
-    with pytest.raises(InvalidInputError, match="leave --watch or --drawers out"):
-        train(data_folder, tmp_path / "both", config, schedule, RunOptions(drawers=2, watch=True))
 
 
 def test_killed_and_resumed_run_leaves_the_same_curve_as_an_undisturbed_one(data_folder, tmp_path):
@@ -207,7 +205,7 @@ def test_watched_data_are_used_as_they_come(data_folder, tmp_path):
     for watch, samples in ((False, ["3", "3"]), (True, ["3", "4"])):
         (data / records[5].name).unlink(missing_ok=True)
         out = tmp_path / str(watch)
-        train(data, out, TINY, schedule, RunOptions(watch=watch))
+        train(data, out, TINY, schedule, RunOptions(watch=watch, drawers=2 if watch else 0))
         assert [row["samples"] for row in _rows(out / LOG)] == samples
 
 
@@ -238,3 +236,16 @@ def test_without_tensorboard_one_sentence_says_what_to_install(data_folder, tmp_
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     with pytest.raises(InvalidInputError, match=r'pip install "softtissue-training\[tensorboard\]"'):
         train(data_folder, tmp_path, TINY, Schedule(steps=1), RunOptions(tensorboard=True))
+
+
+def test_a_run_begins_with_given_weights(data_folder, tmp_path):
+    first, second = tmp_path / "first", tmp_path / "second"
+    train(data_folder, first, TINY, Schedule(steps=4))
+    hardly = dataclasses.replace(TINY, learning_rate=1e-9, seed=2)
+    train(data_folder, second, hardly, Schedule(steps=1), RunOptions(start=first / WEIGHTS))
+    begun = load_file(second / WEIGHTS)
+    for name, kept in load_file(first / WEIGHTS).items():
+        torch.testing.assert_close(begun[name], kept, rtol=0, atol=1e-7)
+    other = get_config("overfit")
+    with pytest.raises(CheckpointError, match="expected weights of a network as overfit has it"):
+        train(data_folder, tmp_path / "other", other, Schedule(steps=1), RunOptions(start=first / WEIGHTS))

@@ -113,3 +113,18 @@ def test_sigma_scale_makes_the_claimed_deviation_the_true_one(samples, claimed):
     result = Validation([prepared], [view], SPEC, CPU)(network)
     # Some hundred cells inside, three components each.
     assert result.sigma_scale * claimed == pytest.approx(2.0, rel=0.1)
+    assert result.calibrated_scale == result.sigma_scale
+
+
+def test_deviation_that_no_factor_makes_true_is_not_given(samples):
+    """Nine tenths of the errors are small and the others large, and the network says the same of all."""
+    prepared = prepare(samples[2], SPEC)
+    view = _view(prepared, 0.3, SPEC)
+    target = crop(Voxeliser(SPEC, CPU)([prepared], [view]), own_box(prepared.box, prepared.grid.shape))[1]
+    generator = torch.Generator().manual_seed(4)
+    small = torch.rand(target.shape, generator=generator) < 0.88
+    noise = torch.where(small, 0.1, 5.0) * torch.randn(target.shape, generator=generator)
+    network = _Given(torch.cat([target + noise, torch.zeros_like(target[:, :1])], dim=1))
+    result = Validation([prepared], [view], SPEC, CPU)(network)
+    assert result.within_two_sigma < 0.9
+    assert result.calibrated_scale == 0.0 < result.sigma_scale

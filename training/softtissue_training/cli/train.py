@@ -70,6 +70,9 @@ def add(commands: Commands) -> None:
         "for trying out (default: paper)",
     )
     train.add_argument("--resume", action="store_true", help="go on with the unfinished run in OUT")
+    train.add_argument(
+        "--start", type=Path, metavar="FILE", help="weights of the paper's network that a new run begins with"
+    )
     _add_ends(train.add_argument_group("when it ends"))
     _add_machine(train.add_argument_group("on what it runs"))
     _add_changes(train.add_argument_group("changes to the configuration"))
@@ -202,6 +205,7 @@ def _train(options: argparse.Namespace) -> int:
         bfloat16=choose_bfloat16(options.precision, device),
         workers=options.workers,
         drawers=options.drawers,
+        start=options.start,
         watch=options.watch,
         tensorboard=options.tensorboard,
         command=" ".join(["softtissue-train", *sys.argv[1:]]),

@@ -72,7 +72,7 @@ def paper_case(organ: Organ, config: EstimatorConfig) -> NetworkCase:
         answers = [field_of(outputs[0][:, inside].T, spec) for outputs in (first, second)]
         apart = answers[0] - answers[1]
         moved, spread = apart[:, :3].norm(dim=1), apart[:, 3:].abs()
-        return 1e3 * max(float(moved.max()), float(spread.max()) if spec.gives_sigma else 0.0)
+        return 1e3 * max(float(moved.max()), float(spread.max()) if spec.sigma_is_calibrated else 0.0)
 
     return NetworkCase("paper", checkpoint.network, inputs, difference_mm)
 

@@ -97,6 +97,14 @@ class BatchSource:
 
     def drawn(self, epoch: int, batch: int) -> Generator[DrawnBatch, None, None]:
         """Yield the batches of a run from a place in it on, without end."""
+        while True:
+            # Processes know the samples that they were forked with: where these become more, others take over.
+            for batch_ in self._drawn_of(epoch, batch, len(self._dataset.training)):
+                epoch, batch = batch_.next_place
+                yield batch_
+
+    def _drawn_of(self, epoch: int, batch: int, known: int) -> Generator[DrawnBatch, None, None]:
+        """Do the same as long as there are so many samples."""
         ahead = 3 * self._drawers + 1
         waiting: deque[tuple[Place, tuple[PreparedSample, ...], Future[list[View]]]] = deque()
         with self._executor() as executor:
@@ -107,6 +115,8 @@ class BatchSource:
                     waiting.append((place, samples, self._submit(executor, place, slots, samples)))
                     if len(waiting) > ahead:
                         yield self._finished(*waiting.popleft())
+                    if self._drawers and len(self._dataset.training) > known:
+                        return
             finally:
                 for _, _, future in waiting:
                     future.cancel()

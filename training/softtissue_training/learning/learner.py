@@ -62,6 +62,11 @@ class Learner(Optimisation[UNet]):
         self.average.load_state_dict(self.network.state_dict())
         return reached
 
+    def begin_with(self, network: UNet) -> None:
+        """Take the weights of another network of this architecture."""
+        self.network.load_state_dict(network.state_dict())
+        self.average.load_state_dict(network.state_dict())
+
     def gradient(self, batch: Batch) -> Tensor:
         """Set the gradients of the mean loss over the whole batch; returns this process' share of that loss, ()."""
         if (

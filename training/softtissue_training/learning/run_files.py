@@ -140,7 +140,7 @@ class SimulationRunFiles(RunFiles[ValidationResult]):
         source = provenance(self._dataset, self._config, progress, result, self._command)
         spec = self._config.spec
         if spec.gives_sigma:
-            spec = replace(spec, sigma_scale=result.sigma_scale)
+            spec = replace(spec, sigma_scale=result.calibrated_scale)
         save_checkpoint(self._out / WEIGHTS, learner.average, spec, source)
 
     def _row(self, progress: Progress, rate: float, loss: float, result: ValidationResult) -> tuple[Any, ...]:

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.errors import CheckpointError, InvalidInputError
+from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
 from softtissue_training.learning.batch_source import BatchSource, DrawnBatch, fixed_view
 from softtissue_training.learning.dataset import draw_visible
 from softtissue_training.learning.distributed import Ranks
@@ -47,6 +48,8 @@ class RunOptions:
         Use simulations that are added meanwhile; the run can then not be repeated.
     tensorboard
         Write the curves for TensorBoard too.
+    start
+        Weights that a new run begins with, instead of random ones; Adam's moments begin anew.
     command
         Command line, for the checkpoint's provenance.
     """
@@ -57,6 +60,7 @@ class RunOptions:
     drawers: int = 0
     watch: bool = False
     tensorboard: bool = False
+    start: Path | None = None
     command: str = ""
 
 
@@ -89,10 +93,6 @@ def train(
         Too many gradients are not finite.
     """
     options, ranks = options or RunOptions(), ranks or Ranks()
-    if options.watch and options.drawers:
-        raise InvalidInputError(
-            "data cannot be watched while processes draw views; leave --watch or --drawers out"
-        )
     if options.watch and ranks.size > 1:
         raise InvalidInputError(
             f"data can be watched by one process alone, got {ranks.size}; leave --watch out"
@@ -129,7 +129,7 @@ class _Run(RunLoop[DrawnBatch, ValidationResult]):
         self.config, self.dataset, self.watch = config, dataset, options.watch
         self.learner = Learner(config, self.device, ranks, bfloat16=options.bfloat16)
         self.source = BatchSource(dataset, config, self.device, ranks, drawers=options.drawers)
-        self.progress = self._load(out / STATE) if (out / STATE).exists() else self._begin()
+        self.progress = self._load(out / STATE) if (out / STATE).exists() else self._begin(options.start)
         self.files = None
         if ranks.writes:
             self.files = SimulationRunFiles(
@@ -170,8 +170,16 @@ class _Run(RunLoop[DrawnBatch, ValidationResult]):
             observed = [view_of(*draw_visible(sample, rng, shares), config.spec) for sample in samples]
         return Validation(samples, observed, config.spec, self.device)
 
-    def _begin(self) -> Progress:
-        """Give every layer unit variance on a sample with the largest grid, and say what was reached."""
+    def _begin(self, start: Path | None) -> Progress:
+        """Begin with given weights, or give every layer unit variance on a sample with the largest grid."""
+        if start is not None:
+            checkpoint = load_checkpoint(start)
+            if checkpoint.spec.architecture != self.config.spec.architecture:
+                raise CheckpointError(
+                    f"{start}: expected weights of a network as {self.config.name} has it, got another one"
+                )
+            self.learner.begin_with(checkpoint.network)
+            return Progress()
         rng = stream(self.config.seed, Purpose.INITIALISATION)
         largest = max(self.dataset.training[:50], key=lambda sample: math.prod(sample.box))
         points, displacement = draw_visible(largest, rng, self.config.visible_share)

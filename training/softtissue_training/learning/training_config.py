@@ -150,6 +150,7 @@ _PAPER = TrainingConfig(
     sparse=0.15,
     misregistered=0.1,
     misattached=0.2,
+    loss="distance",
     validation_samples=1000,
 )
 CONFIGS = {

@@ -21,7 +21,8 @@ from softtissue_training.learning.view import View
 from softtissue_training.learning.voxels import Voxeliser
 
 _QUANTILES = 201  # of each sample, so that all samples count alike
-_ONE_SIGMA = 0.6827  # share of a Gaussian within one standard deviation
+_ONE_SIGMA, _TWO_SIGMA = 0.6827, 0.9545  # shares of a Gaussian within one and two standard deviations
+_CALIBRATED = 0.05  # by so much the share within two may be off
 
 
 @dataclass(frozen=True)
@@ -39,17 +40,25 @@ class ValidationResult:
     sigma_scale
         Factor that makes two thirds (0.683) of the components of the errors lie within one standard deviation; NaN for
         a network that gives none.
+    within_two_sigma
+        Share of the components within two standard deviations so scaled; 0.954 of a Gaussian's are.
     """
 
     error: float
     displacement: float
     rigid_error: float
     sigma_scale: float = math.nan
+    within_two_sigma: float = math.nan
 
     @property
     def score(self) -> float:
         """What the best weights are chosen by: the error."""
         return self.error
+
+    @property
+    def calibrated_scale(self) -> float:
+        """`sigma_scale`, or 0 where the errors are not distributed as any factor would have it."""
+        return self.sigma_scale if abs(self.within_two_sigma - _TWO_SIGMA) <= _CALIBRATED else 0.0
 
 
 class Validation:
@@ -103,8 +112,11 @@ class Validation:
                 errors[number], ratios[number] = self._error(network, *self._inputs[number])
         network.train(was_training)
         error = float(ranks.sum(errors.to(self._device)).mean())
-        scale = float(ranks.sum(ratios.to(self._device)).flatten().quantile(_ONE_SIGMA))
-        return ValidationResult(error, float(np.mean(self._displacement)), float(np.mean(self._rigid)), scale)
+        ratios = ranks.sum(ratios.to(self._device)).flatten()
+        scale = float(ratios.quantile(_ONE_SIGMA))
+        within = float((ratios <= 2.0 * scale).double().mean())
+        means = float(np.mean(self._displacement)), float(np.mean(self._rigid))
+        return ValidationResult(error, *means, scale, within)
 
     def _error(self, network: UNet, sample: PreparedSample, view: View) -> tuple[float, Tensor]:
         """Return the mean distance inside the organ, metres, and quantiles of |error| over standard deviation."""

@@ -263,8 +263,8 @@ def stacked_channels(
 
 def field_of(outputs: Tensor, spec: NetworkSpec) -> Tensor:
     """Return displacement and, if the network gives it, standard deviation, (..., 3 or 4) m, of its outputs."""
-    if not spec.gives_sigma:
-        return outputs * spec.output_scale
+    if not spec.sigma_is_calibrated:
+        return outputs[..., :3] * spec.output_scale
     log_sigma = outputs[..., 3:].clamp(*LOG_SIGMA_RANGE)
     sigma = log_sigma.exp() * (spec.output_scale * spec.sigma_scale)
     return torch.cat([outputs[..., :3] * spec.output_scale, sigma], dim=-1)

@@ -52,7 +52,8 @@ class NetworkSpec:
     frame
         Frame of all displacements: "organ", or "rigid", that of the rigid motion of what is observed (`rigid_frame`).
     sigma_scale
-        Factor from the standard deviation that the network says to the one that held-out organs show.
+        Factor from the standard deviation that the network says to the one that held-out organs show; 0 where no
+        factor makes it true, and no standard deviation is given.
     """
 
     spacing: float = 0.30 / 64
@@ -69,6 +70,11 @@ class NetworkSpec:
     def gives_sigma(self) -> bool:
         """Whether a fourth output is the logarithm of the standard deviation of each component."""
         return self.architecture.out_channels == 4
+
+    @property
+    def sigma_is_calibrated(self) -> bool:
+        """Whether the network gives a standard deviation that held-out organs bear out."""
+        return self.gives_sigma and self.sigma_scale > 0.0
 
 
 _SPEC_FIELDS = frozenset(field.name for field in fields(NetworkSpec))

@@ -216,5 +216,7 @@ def test_field_is_displacement_and_deviation_in_metres() -> None:
     torch.testing.assert_close(field[0], torch.tensor([0.005, -0.010, 0.0025, 0.3 * 0.7 * 0.005]))
     # However sure or unsure the network says it is, the deviation stays a number.
     torch.testing.assert_close(field[1:, 3], torch.tensor([math.exp(4.0), math.exp(-6.0)]) * 0.7 * 0.005)
+    # One that held-out organs do not bear out is not given.
+    assert torch.equal(field_of(outputs, dataclasses.replace(spec, sigma_scale=0.0)), field[:, :3])
     plain = field_of(outputs[:, :3], SPEC)
     torch.testing.assert_close(plain, outputs[:, :3] * SPEC.output_scale)
