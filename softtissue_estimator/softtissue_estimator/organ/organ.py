@@ -153,7 +153,9 @@ def load_organ(folder: Path) -> Organ:
     check_size(stored.mesh, file.path, file.unit, file.unit_m)
     check_closed(stored.mesh, str(file.surface))
     structures = tuple(
-        Structure(entry.name, entry.kind, read_mesh(entry.mesh, file.unit_m).mesh, entry.colour)
+        Structure(
+            entry.name, entry.kind, read_mesh(entry.mesh, file.unit_m, stored.system).mesh, entry.colour
+        )
         for entry in file.structures
     )
     for structure in structures:
@@ -177,7 +179,7 @@ def _attached_vertices(stored: StoredMesh, file: OrganFile) -> BoolArray:
         attached |= gap <= 0.0
     if entry.touching is not None:
         mesh, distance = entry.touching
-        touching = read_mesh(mesh, file.unit_m).mesh
+        touching = read_mesh(mesh, file.unit_m, stored.system).mesh
         squared = igl.point_mesh_squared_distance(vertices, touching.vertices, touching.faces)[0]
         gap = np.sqrt(np.asarray(squared, dtype=np.float64)) - distance
         where = f"{file.path}, attached.touching"
