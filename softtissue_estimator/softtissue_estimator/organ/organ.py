@@ -19,7 +19,8 @@ from softtissue_estimator.organ.mesh import (
 )
 from softtissue_estimator.organ.mesh_io import StoredMesh, read_mesh
 from softtissue_estimator.organ.organ_checks import check_place, check_size, mirror_hint
-from softtissue_estimator.organ.organ_file import OrganFile, read_organ_file
+from softtissue_estimator.organ.organ_file import OrganFile, StructureEntry, read_organ_file
+from softtissue_estimator.organ.stray_vertices import warn_of_stray_vertices
 from softtissue_estimator.organ.surface_lookup import SurfaceLookup, build_surface_lookup
 from softtissue_estimator.organ.surface_patch import patch
 from softtissue_estimator.organ.surface_repair import check_closed, clean_organ_surface
@@ -152,16 +153,18 @@ def load_organ(folder: Path) -> Organ:
     stored = clean_organ_surface(read_mesh(file.surface, file.unit_m), str(file.surface))
     check_size(stored.mesh, file.path, file.unit, file.unit_m)
     check_closed(stored.mesh, str(file.surface))
-    structures = tuple(
-        Structure(
-            entry.name, entry.kind, read_mesh(entry.mesh, file.unit_m, stored.system).mesh, entry.colour
-        )
-        for entry in file.structures
-    )
+    warn_of_stray_vertices(stored, str(file.surface))
+    structures = tuple(_read_structure(entry, file.unit_m, stored.system) for entry in file.structures)
     for structure in structures:
         check_place(structure.name, structure.mesh, stored.mesh, file.path)
     attached = _attached_vertices(stored, file)
     return make_organ(file.name, file.frame, stored.mesh, structures, attached, folder)
+
+
+def _read_structure(entry: StructureEntry, unit_m: float, system: str | None) -> Structure:
+    stored = read_mesh(entry.mesh, unit_m, system)
+    warn_of_stray_vertices(stored, str(entry.mesh))
+    return Structure(entry.name, entry.kind, stored.mesh, entry.colour)
 
 
 def _attached_vertices(stored: StoredMesh, file: OrganFile) -> BoolArray:
