@@ -7,7 +7,7 @@ import pytest
 
 from estimator.mesh_file_checks import LIVER, MM, content_of
 from estimator.organ_folders import TUMOUR, describe, export
-from softtissue_estimator.errors import MeshError
+from softtissue_estimator.errors import MeshError, OrganError
 from softtissue_estimator.organ.mesh import SurfaceMesh, enclosed_volume
 from softtissue_estimator.organ.mesh_files.coordinate_system import stated_system
 from softtissue_estimator.organ.mesh_io import read_mesh
@@ -159,3 +159,21 @@ def test_the_surface_decides_for_the_organ(tmp_path, spaces):
     np.testing.assert_allclose(organ.surface.vertices, LIVER.vertices, atol=1e-7)
     np.testing.assert_allclose(organ.structures[0].mesh.vertices, TUMOUR.vertices, atol=1e-7)
     assert (organ.surface.vertices[organ.attached][:, 0] > 0.05).all()
+    assert organ.system == "RAS"
+    assert organ.with_attached(~organ.attached).system == "RAS"
+
+
+def test_a_surface_that_states_nothing_is_in_the_system_of_the_rest(tmp_path):
+    organ = load_organ(organ_folder(tmp_path, tumour="RAS", touch="LPS"))
+    assert organ.system == "RAS"
+    assert (organ.surface.vertices[organ.attached][:, 0] > 0.05).all()
+
+
+def test_meshes_that_contradict_each_other_beside_such_a_surface_are_refused(tmp_path):
+    folder = organ_folder(tmp_path, tumour="RAS", touch="LPS")
+    both = [{"name": "a", "mesh": "tumour.obj"}, {"name": "b", "mesh": "touch.obj"}]
+    describe(folder, surface="liver.obj", structures=both)
+    with pytest.raises(
+        OrganError, match="since structures state LPS and RAS, got liver.obj, which states none"
+    ):
+        load_organ(folder)
