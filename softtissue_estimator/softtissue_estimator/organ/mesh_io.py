@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,14 +11,30 @@ import numpy as np
 
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.organ.mesh import FloatArray, IntArray, SurfaceMesh
-from softtissue_estimator.organ.mesh_files.cell_surface import CellBlock, check_cells, surface_of_cells
+from softtissue_estimator.organ.mesh_files.cell_surface import (
+    CellBlock,
+    MeshCells,
+    check_cells,
+    surface_of_cells,
+)
+from softtissue_estimator.organ.mesh_files.coordinate_system import signs_between
 from softtissue_estimator.organ.mesh_files.msh_files import MSH_FORMATS, read_msh
 from softtissue_estimator.organ.mesh_files.obj_files import read_obj
-from softtissue_estimator.organ.mesh_files.trimesh_files import read_with_trimesh
+from softtissue_estimator.organ.mesh_files.plain_text import without_mark
+from softtissue_estimator.organ.mesh_files.ply_files import read_ply
+from softtissue_estimator.organ.mesh_files.stl_files import read_stl
 from softtissue_estimator.organ.mesh_files.vtk_files import VTK_FORMATS, read_vtk
 
-MESH_FORMATS = (".stl", ".ply", ".obj", *VTK_FORMATS, *MSH_FORMATS)
+_READERS: dict[str, Callable[[Path], MeshCells]] = {
+    ".stl": read_stl,
+    ".ply": read_ply,
+    ".obj": read_obj,
+    **dict.fromkeys(VTK_FORMATS, read_vtk),
+    **dict.fromkeys(MSH_FORMATS, read_msh),
+}
+MESH_FORMATS = tuple(_READERS)
 
+_log = logging.getLogger(__name__)
 _SAME_PLACE_SHARE = 1e-7  # of the largest extent
 # How files begin, what that is, and the extension it should have.
 _FILE_SIGNATURES = (
@@ -45,17 +62,20 @@ class StoredMesh:
         m; duplicate vertices merged, faces without area and unused vertices dropped.
     vertex_of_stored : (s,) int64
         Vertex of `mesh` for each vertex in the file, -1 for those that were dropped.
+    system : str or None
+        Coordinate system of `mesh` as the file states it, 'LPS' or 'RAS' say; None if it states none.
     """
 
     mesh: SurfaceMesh
     vertex_of_stored: IntArray
+    system: str | None = None
 
     def with_faces(self, faces: IntArray) -> StoredMesh:
         """Return the mesh with other faces of the same vertices; those that none uses are dropped."""
-        return _keep_used(self.mesh.vertices, faces, self.vertex_of_stored)
+        return _keep_used(self.mesh.vertices, faces, self.vertex_of_stored, self.system)
 
 
-def read_mesh(path: Path, unit_m: float) -> StoredMesh:
+def read_mesh(path: Path, unit_m: float, system: str | None = None) -> StoredMesh:
     """Read a triangle surface.
 
     Parameters
@@ -65,6 +85,9 @@ def read_mesh(path: Path, unit_m: float) -> StoredMesh:
         triangles; of volume elements the outer surface is taken (`surface_of_cells`).
     unit_m : float
         Length of the file's unit, m.
+    system : str or None
+        Coordinate system of the result, 'LPS' or 'RAS' say; a file that states another one is converted, with a line
+        in the log. None to leave every mesh as it is.
 
     Raises
     ------
@@ -81,21 +104,28 @@ def read_mesh(path: Path, unit_m: float) -> StoredMesh:
     try:
         if path.stat().st_size == 0:
             raise MeshError("expected a mesh, got an empty file")
-        if kind in VTK_FORMATS:
-            vertices, blocks = read_vtk(path)
-        elif kind in MSH_FORMATS:
-            vertices, blocks = read_msh(path)
-        else:
-            vertices, blocks = read_obj(path) if kind == ".obj" else read_with_trimesh(path)
-        return _surface(vertices * unit_m, blocks)
+        return _surface(_in_system(_READERS[kind](path), system, path), unit_m)
     except MeshError as error:
         raise MeshError(f"mesh {path}: {_other_format(path) or error}") from error
     except OSError as error:
         raise MeshError(f"mesh {path}: expected a file that can be read, got '{error.strerror}'") from error
 
 
-def _surface(vertices: FloatArray, blocks: Sequence[CellBlock]) -> StoredMesh:
+def _in_system(cells: MeshCells, system: str | None, path: Path) -> MeshCells:
+    """Convert points from the coordinate system that the file states; cells are wound as before, seen from outside."""
+    if cells.system is None or system is None or cells.system == system:
+        return cells
+    _log.info("mesh %s: states %s, converted to %s", path, cells.system, system)
+    signs = signs_between(cells.system, system)
+    blocks = cells.blocks
+    if signs.prod() < 0.0:
+        blocks = [block.mirrored() for block in blocks]
+    return MeshCells(cells.points * signs, blocks, system)
+
+
+def _surface(cells: MeshCells, unit_m: float) -> StoredMesh:
     """Merge vertices in one place, keeping the first of each, and drop what has no area."""
+    vertices, blocks = cells.points * unit_m, cells.blocks
     check_cells(blocks, len(vertices))
     used = np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
     if not np.isfinite(vertices[used]).all():
@@ -104,35 +134,45 @@ def _surface(vertices: FloatArray, blocks: Sequence[CellBlock]) -> StoredMesh:
     extent = float(np.ptp(vertices[used], axis=0).max())
     if not 0.0 < extent < np.inf:
         raise MeshError("expected a surface with an extent, got all vertices in one place")
-    # Vertices of no cell may be anywhere, also at NaN.
+    # Vertices of no cell may be anywhere, also at NaN; they may be copies of others.
+    finite = np.flatnonzero(np.isfinite(vertices).all(axis=1))
+    candidates = np.concatenate([used, np.setdiff1d(finite, used, assume_unique=True)])
     place = np.arange(len(vertices))
-    _, first, group = np.unique(
-        np.round(vertices[used] / (_SAME_PLACE_SHARE * extent)) + 0.0,
-        axis=0,
-        return_index=True,
-        return_inverse=True,
-    )
-    place[used] = used[first][group.reshape(-1)]
+    place[candidates] = candidates[_first_in_place(vertices[candidates], _SAME_PLACE_SHARE * extent)]
     faces = surface_of_cells(vertices, [CellBlock(block.kind, place[block.nodes]) for block in blocks])
     distinct = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     if not distinct.any():
         raise MeshError(f"expected triangles with an area, got none among {len(faces)}")
-    return _keep_used(vertices, faces[distinct], place)
+    return _keep_used(vertices, faces[distinct], place, cells.system)
 
 
-def _keep_used(vertices: FloatArray, faces: IntArray, vertex_of_stored: IntArray) -> StoredMesh:
+def _first_in_place(points: FloatArray, tolerance: float) -> IntArray:
+    """For each of (n, 3) points, the first one that is the same up to rounding to a tolerance, (n,)."""
+    rounded = np.round(points / tolerance) + 0.0
+    order = np.lexsort(rounded.T)
+    starts = np.ones(len(points), dtype=np.bool_)
+    starts[1:] = (rounded[order[1:]] != rounded[order[:-1]]).any(axis=1)
+    first = np.empty(len(points), dtype=np.int64)
+    # Sorting is stable, so the first of equal points stays the first.
+    first[order] = order[starts][np.cumsum(starts) - 1]
+    return first
+
+
+def _keep_used(
+    vertices: FloatArray, faces: IntArray, vertex_of_stored: IntArray, system: str | None
+) -> StoredMesh:
     """Drop vertices that no face uses and renumber the others in the same order."""
     used, compact = np.unique(faces, return_inverse=True)
     number = np.full(len(vertices), -1, dtype=np.int64)
     number[used] = np.arange(len(used))
     renumbered = np.where(vertex_of_stored >= 0, number[vertex_of_stored], -1)
-    return StoredMesh(SurfaceMesh(vertices[used], compact.reshape(-1, 3)), renumbered)
+    return StoredMesh(SurfaceMesh(vertices[used], compact.reshape(-1, 3)), renumbered, system)
 
 
 def _other_format(path: Path) -> str:
     """Say what a file is if it is clearly not what its name says."""
     with path.open("rb") as file:
-        start = file.read(400).lstrip()
+        start = without_mark(file.read(400)).lstrip()
     own = path.suffix.lower()
     for begin, what, suffix in _FILE_SIGNATURES:
         if start.startswith(begin) or (begin.startswith(b"type") and b"<VTKFile" in start and begin in start):

@@ -2,6 +2,7 @@
 
 import hashlib
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +20,8 @@ from softtissue_estimator.organ.mesh import (
 )
 from softtissue_estimator.organ.mesh_io import StoredMesh, read_mesh
 from softtissue_estimator.organ.organ_checks import check_place, check_size, mirror_hint
-from softtissue_estimator.organ.organ_file import OrganFile, read_organ_file
+from softtissue_estimator.organ.organ_file import OrganFile, StructureEntry, read_organ_file
+from softtissue_estimator.organ.stray_vertices import warn_of_stray_vertices
 from softtissue_estimator.organ.surface_lookup import SurfaceLookup, build_surface_lookup
 from softtissue_estimator.organ.surface_patch import patch
 from softtissue_estimator.organ.surface_repair import check_closed, clean_organ_surface
@@ -61,6 +63,8 @@ class Organ:
         Where it was read from.
     digest : str
         Hash of geometry, attachment and structures; equal digests mean equal organs.
+    system : str or None
+        Coordinate system that its files state, 'LPS' or 'RAS' say; None if they state none.
     """
 
     name: str
@@ -70,6 +74,7 @@ class Organ:
     attached: BoolArray
     folder: Path | None
     digest: str
+    system: str | None = None
 
     def __post_init__(self) -> None:
         if self.attached.shape != (len(self.surface.vertices),):
@@ -104,7 +109,9 @@ class Organ:
 
     def with_attached(self, attached: BoolArray) -> "Organ":
         """Return the same organ attached elsewhere, (n,) flags; what was computed of its geometry is kept."""
-        other = make_organ(self.name, self.frame, self.surface, self.structures, attached, self.folder)
+        other = make_organ(
+            self.name, self.frame, self.surface, self.structures, attached, self.folder, self.system
+        )
         for name in ("geometry_digest", "query_points", "structure_points", "surface_lookup"):
             if name in self.__dict__:
                 other.__dict__[name] = self.__dict__[name]
@@ -123,6 +130,7 @@ def make_organ(
     structures: tuple[Structure, ...],
     attached: BoolArray,
     folder: Path | None = None,
+    system: str | None = None,
 ) -> Organ:
     """Make an organ and hash its content."""
     content = hashlib.sha256()
@@ -133,7 +141,7 @@ def make_organ(
         content.update(f"{structure.name}\0{structure.kind}\0{structure.colour}".encode())
         for array in (structure.mesh.vertices, structure.mesh.faces):
             content.update(f"{array.shape}".encode() + array.tobytes())
-    return Organ(name, frame, surface, structures, flags, folder, content.hexdigest())
+    return Organ(name, frame, surface, structures, flags, folder, content.hexdigest(), system)
 
 
 def load_organ(folder: Path) -> Organ:
@@ -152,17 +160,33 @@ def load_organ(folder: Path) -> Organ:
     stored = clean_organ_surface(read_mesh(file.surface, file.unit_m), str(file.surface))
     check_size(stored.mesh, file.path, file.unit, file.unit_m)
     check_closed(stored.mesh, str(file.surface))
-    structures = tuple(
-        Structure(entry.name, entry.kind, read_mesh(entry.mesh, file.unit_m).mesh, entry.colour)
-        for entry in file.structures
-    )
+    warn_of_stray_vertices(stored, str(file.surface))
+    meshes = [read_mesh(entry.mesh, file.unit_m, stored.system) for entry in file.structures]
+    system = _common_system(stored, meshes, file)
+    structures = tuple(map(_structure, file.structures, meshes))
     for structure in structures:
         check_place(structure.name, structure.mesh, stored.mesh, file.path)
-    attached = _attached_vertices(stored, file)
-    return make_organ(file.name, file.frame, stored.mesh, structures, attached, folder)
+    attached = _attached_vertices(stored, file, system)
+    return make_organ(file.name, file.frame, stored.mesh, structures, attached, folder, system)
 
 
-def _attached_vertices(stored: StoredMesh, file: OrganFile) -> BoolArray:
+def _common_system(surface: StoredMesh, structures: Sequence[StoredMesh], file: OrganFile) -> str | None:
+    """Return the coordinate system that the surface states, or else the only one that structures state."""
+    stated = sorted({mesh.system for mesh in structures if mesh.system is not None})
+    if surface.system is None and len(stated) > 1:
+        raise OrganError(
+            f"{file.path}: expected a surface that states its coordinate system, since structures state "
+            f"{' and '.join(stated)}, got {file.surface.name}, which states none"
+        )
+    return surface.system or (stated[0] if stated else None)
+
+
+def _structure(entry: StructureEntry, stored: StoredMesh) -> Structure:
+    warn_of_stray_vertices(stored, str(entry.mesh))
+    return Structure(entry.name, entry.kind, stored.mesh, entry.colour)
+
+
+def _attached_vertices(stored: StoredMesh, file: OrganFile, system: str | None) -> BoolArray:
     vertices = stored.mesh.vertices
     attached = np.zeros(len(vertices), dtype=np.bool_)
     entry = file.attached
@@ -177,7 +201,7 @@ def _attached_vertices(stored: StoredMesh, file: OrganFile) -> BoolArray:
         attached |= gap <= 0.0
     if entry.touching is not None:
         mesh, distance = entry.touching
-        touching = read_mesh(mesh, file.unit_m).mesh
+        touching = read_mesh(mesh, file.unit_m, system).mesh
         squared = igl.point_mesh_squared_distance(vertices, touching.vertices, touching.faces)[0]
         gap = np.sqrt(np.asarray(squared, dtype=np.float64)) - distance
         where = f"{file.path}, attached.touching"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import igl
 import numpy as np
@@ -93,7 +94,7 @@ def _without_cracks(stored: StoredMesh, name: str) -> StoredMesh:
     faces = place[mesh.faces]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     merged = np.where(stored.vertex_of_stored >= 0, place[stored.vertex_of_stored], -1)
-    return StoredMesh(mesh, merged).with_faces(faces)
+    return replace(stored, vertex_of_stored=merged).with_faces(faces)
 
 
 def _without_double_faces(stored: StoredMesh, name: str) -> StoredMesh:
@@ -129,7 +130,7 @@ def _turned(stored: StoredMesh, name: str) -> StoredMesh:
     body = _body_of_face(mesh)
     inward = _body_volumes(mesh.vertices, faces, body) < 0.0
     faces = np.where(inward[body][:, None], faces[:, ::-1], faces)
-    return StoredMesh(SurfaceMesh(mesh.vertices, faces), stored.vertex_of_stored)
+    return replace(stored, mesh=SurfaceMesh(mesh.vertices, faces))
 
 
 def _keep_bodies(stored: StoredMesh, name: str) -> StoredMesh:
@@ -203,7 +204,7 @@ def _with_lids(stored: StoredMesh, name: str) -> StoredMesh:
         100.0 * share[small].max(),
     )
     closed = SurfaceMesh(np.concatenate([mesh.vertices, middles]), np.concatenate([mesh.faces, lids]))
-    return StoredMesh(closed, stored.vertex_of_stored)
+    return replace(stored, mesh=closed)
 
 
 def _open_edges(faces: IntArray) -> IntArray:

@@ -108,6 +108,28 @@ def test_driver_that_leaves_row_step_unset():
     np.testing.assert_array_equal(conversions.read_cloud(message).points, POINTS)
 
 
+@pytest.mark.parametrize(
+    ("shape", "changes"),
+    [
+        ((2, 2), {"row_step": 0}),
+        ((2, 2), {"row_step": 64}),
+        ((2, 2), {"row_step": 2}),
+        ((1, 4), {"row_step": 2**32 - 1}),
+        ((4, 1), {"row_step": 64 + 1600}),
+        ((4, 1), {"row_step": 16}),
+        ((4, 1), {"height": 0}),
+        ((4, 1), {"height": 0, "row_step": 0}),
+        ((4, 1), {"width": 0}),
+    ],
+)
+def test_one_size_that_contradicts_the_others_does_not_matter(shape, changes):
+    """Width, height, step and amount of data say the same; row_step, or a size that is 0, does not."""
+    message = pack("f", POINTS, 16, (0, 4, 8), *shape, 0, False)
+    for name, value in changes.items():
+        setattr(message, name, value)
+    np.testing.assert_array_equal(conversions.read_cloud(message).points, POINTS)
+
+
 def broken(**changes):
     message = pack("f", POINTS, 16, (0, 4, 8), 4, 1, 0, False)
     for name, value in changes.items():
@@ -130,6 +152,9 @@ def fields(*names, datatype=PointField.FLOAT32, step=4):
         (broken(data=b"\x00" * 63), "expected 64 bytes of data .* got 63"),
         (broken(data=b"\x00" * 80), "expected 64 bytes of data .* got 80"),
         (broken(height=2, row_step=32), "row_step of at least"),
+        (broken(height=2, row_step=128), "expected 256 bytes of data .row_step 128 x height 2., got 64"),
+        (broken(height=0, width=3), "at least one point, got width 3 x height 0"),
+        (broken(height=2, width=0), "at least one point, got width 0 x height 2"),
         (broken(fields=fields("x", "y", "z", "ref_x"), point_step=16), "ref_x ref_y ref_z, got x y z ref_x"),
     ],
 )

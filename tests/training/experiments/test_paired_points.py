@@ -47,6 +47,9 @@ def test_lists_are_paired_by_label_in_any_order_and_system(tmp_path):
         ("x,y,z,x_after,y_after,z_after\n", "expected rows below the header"),
         ("1,2,3,7,8,9\n1,2,3,7,8\n", "line 2: expected 6 columns, got 5"),
         ("1,2,3,7,8,nan\n", "line 1: expected three finite coordinates, got '7, 8, nan'"),
+        ("1,5,2,3,7,8,9\n1,2,3,7,8,9\n", "line 2: expected 7 columns, got 6"),
+        ("1,2,3,7,8,9\n1,2,5,3,7,8,9\n", "line 2: expected 6 columns, got 7; numbers with decimal commas"),
+        ("a,1,2,3,7,8,9\n#b,1,2,3,7,8,9\n", "line 2: expected a comment or a row"),
         ("a,1,2,3,7,8,9\na,1,2,4,7,8,9\n", "got a more than once"),
     ],
 )

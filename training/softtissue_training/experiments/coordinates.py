@@ -8,6 +8,7 @@ import numpy as np
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.organ.mesh import FloatArray
+from softtissue_estimator.organ.organ import Organ
 
 CoordinateSystem = Literal["LPS", "RAS"]
 """Where x, y and z point: Left, Posterior, Superior (DICOM, ITK, files of Slicer 4.11 and later) or Right, Anterior,
@@ -26,6 +27,20 @@ def named_system(text: str) -> CoordinateSystem | None:
     ('RAS', 'LPS', None)
     """
     return _NAMED.get(text.strip().upper())
+
+
+def check_system(where: str, stated: CoordinateSystem, organ: Organ) -> None:
+    """Raise InvalidInputError if the organ's files state another coordinate system than what stands beside them.
+
+    Parameters
+    ----------
+    where
+        What states it, for the message.
+    """
+    if organ.system not in (None, stated):
+        raise InvalidInputError(
+            f"{where}, system: expected {organ.system}, as the file of the organ's surface states, got {stated}"
+        )
 
 
 def convert_coordinates(points: FloatArray, source: CoordinateSystem, target: CoordinateSystem) -> FloatArray:

@@ -35,6 +35,7 @@ COLUMNS = (
     "desc",
     "associatedNodeID",
 )
+_UNLISTED = 2  # columns that Slicer 5 writes behind those of its header
 _DEFINED = "2"  # of the statuses undefined, preview, defined, missing
 
 
@@ -81,6 +82,11 @@ def read_fcsv(path: Path, text: str, system: CoordinateSystem) -> LabelledPoints
     points: list[list[float]] = []
     undefined = 0
     for i, (number, fields) in enumerate(rows):
+        if len(fields) > len(columns) + _UNLISTED:
+            raise InvalidInputError(
+                f"points {path}, line {number}: expected at most {len(columns) + _UNLISTED} fields, got {len(fields)}; "
+                "numbers need decimal points, labels with a comma quotation marks"
+            )
         if len(fields) > len(columns) and fields[len(columns)].strip() not in ("", _DEFINED):
             undefined += 1
             continue

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.experiments.coordinates import CoordinateSystem
 from softtissue_training.experiments.labelled_points import LabelledPoints, match_labels
 from softtissue_training.experiments.point_lists import read_points
-from softtissue_training.experiments.point_parsing import finite_coordinates
+from softtissue_training.experiments.tables import Table, read_text
 
 FloatArray = NDArray[np.float64]
 
@@ -77,53 +76,30 @@ def read_table_of_pairs(path: Path, unit_m: float, system: CoordinateSystem, wha
     """
     if not path.is_file():
         raise InvalidInputError(f"{what} {path}: expected a file, found none")
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InvalidInputError(f"{what} {path}: expected text, got a file that is none ({error})") from error
-    lines = [
-        (number, line)
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not lines:
-        raise InvalidInputError(f"{what} {path}: expected at least one row, got an empty file")
-    separator = next((mark for mark in ("\t", ";") if mark in lines[0][1]), ",")
-    rows = [
-        (number, [cell.strip() for cell in next(csv.reader([line], delimiter=separator))])
-        for number, line in lines
-    ]
-    columns, rows = _columns(path, rows, what)
+    table = Table(path, what, read_text(path, what))
+    columns, found = table.header([_BEFORE + _AFTER])
+    if found is None:
+        columns = _columns_without_header(path, columns, what)
+    elif "label" not in columns:
+        columns = ["label" if name == "name" else name for name in columns]
     labels: list[str] = []
     before: list[list[float]] = []
     after: list[list[float]] = []
-    for i, (number, cells) in enumerate(rows):
-        if len(cells) < len(columns):
-            raise InvalidInputError(
-                f"{what} {path}, line {number}: expected {len(columns)} columns, got {len(cells)}"
-            )
+    for i, row in enumerate(table.rows(columns, _BEFORE + _AFTER)):
         for names, points in ((_BEFORE, before), (_AFTER, after)):
-            chosen = [cells[columns.index(name)] for name in names]
-            points.append(finite_coordinates(path, number, chosen, separator != ","))
-        label = cells[columns.index("label")] if "label" in columns else ""
-        labels.append(label or str(i + 1))
+            points.append(table.numbers(row, names))
+        labels.append(table.field(row, ["label"]) or str(i + 1))
+    if not labels:
+        raise InvalidInputError(f"{what} {path}: expected rows below the header, got none")
     first = LabelledPoints(tuple(labels), unit_m * np.array(before))
     second = LabelledPoints(tuple(labels), unit_m * np.array(after))
     return PairedPoints(*match_labels(first, second, f"{what} {path.name}"))
 
 
-def _columns(
-    path: Path, rows: list[tuple[int, list[str]]], what: str
-) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the names of the columns and the rows below the header."""
-    first = [cell.lower() for cell in rows[0][1]]
-    if all(name in first for name in _BEFORE + _AFTER):
-        if len(rows) == 1:
-            raise InvalidInputError(f"{what} {path}: expected rows below the header, got none")
-        return ["label" if name == "name" else name for name in first], rows[1:]
+def _columns_without_header(path: Path, first: list[str], what: str) -> list[str]:
     plain = {6: [*_BEFORE, *_AFTER], 7: ["label", *_BEFORE, *_AFTER]}.get(len(first))
     if plain is None:
         raise InvalidInputError(
             f"{what} {path}: expected the columns {', '.join(_BEFORE + _AFTER)}, got {', '.join(first)}"
         )
-    return plain, rows
+    return plain

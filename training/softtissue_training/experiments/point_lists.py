@@ -13,7 +13,8 @@ from softtissue_training.experiments.coordinates import COORDINATE_SYSTEMS, Coor
 from softtissue_training.experiments.fcsv import FIRST_LINE, read_fcsv
 from softtissue_training.experiments.labelled_points import LabelledPoints
 from softtissue_training.experiments.markups_json import read_markups_json
-from softtissue_training.experiments.point_parsing import finite_coordinates, points_read
+from softtissue_training.experiments.point_parsing import points_read
+from softtissue_training.experiments.tables import Table, read_text
 
 POINT_FORMATS = (".csv", ".tsv", ".fcsv", ".mrk.json", ".json")
 _AXES: dict[tuple[str, str, str], CoordinateSystem | None] = {
@@ -28,10 +29,11 @@ def read_points(path: Path, unit_m: float | None, system: CoordinateSystem) -> L
     """Read a list of labelled points.
 
     CSV has the columns `label, x, y, z` or `x, y, z` (points are then called by their number, from 1), separated by
-    commas, semicolons (numbers may then have decimal commas) or tabs. With a header, columns may stand in any order and
-    others are ignored; without one, they stand in this order. Columns `l, p, s` or `r, a, s` instead of `x, y, z`, as
-    3D Slicer exports them, name the coordinate system; x, y and z are taken to be in `system`. Rows whose column
-    `defined` is 0, empty lines and lines that begin with # are left out.
+    commas, semicolons (numbers may then have decimal commas) or tabs. With a header, which may be a comment above the
+    first row, columns may stand in any order and others are ignored; without one, they stand in this order. Columns
+    `l, p, s` or `r, a, s` instead of `x, y, z`, as 3D Slicer exports them, name the coordinate system; x, y and z are
+    taken to be in `system`. Rows whose column `defined` is 0 or false, empty lines and lines that begin with # are left
+    out. A row that begins with # without a space behind it is refused: its label may begin so.
 
     Slicer's own files are described in `fcsv` and `markups_json`; they name their unit and coordinate system.
 
@@ -65,10 +67,7 @@ def read_points(path: Path, unit_m: float | None, system: CoordinateSystem) -> L
         raise InvalidInputError(
             f"points {path}: expected one of {', '.join(POINT_FORMATS)}, got {path.suffix or 'no extension'}"
         )
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError(f"points {path}: expected text, got a file that is none ({error})") from error
+    text = read_text(path)
     try:
         if name.endswith(".json"):
             return read_markups_json(path, text, system)
@@ -84,38 +83,22 @@ def read_points(path: Path, unit_m: float | None, system: CoordinateSystem) -> L
 
 
 def _read_csv(path: Path, text: str, unit_m: float, system: CoordinateSystem) -> LabelledPoints:
-    lines = [
-        (number, line)
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not lines:
-        raise InvalidInputError(f"points {path}: expected at least one point, got an empty file")
-    separator = next((mark for mark in ("\t", ";") if mark in lines[0][1]), ",")
-    rows = [
-        (number, [field.strip() for field in next(csv.reader([line], delimiter=separator))])
-        for number, line in lines
-    ]
-    first = [field.lower() for field in rows[0][1]]
-    axes = next((axes for axes in _AXES if all(axis in first for axis in axes)), None)
-    if axes is not None:
-        columns, source, rows = first, _AXES[axes] or system, rows[1:]
+    table = Table(path, "points", text)
+    columns, axes = table.header(tuple(_AXES))
+    source = system
+    if axes is None:
+        columns, axes = _columns_without_header(path, columns), ("x", "y", "z")
     else:
-        columns, axes, source = _columns_without_header(path, first), ("x", "y", "z"), system
-    place = [columns.index(axis) for axis in axes]
+        source = _AXES[axes[0], axes[1], axes[2]] or system
     labels: list[str] = []
     points: list[list[float]] = []
     undefined = 0
-    for i, (number, fields) in enumerate(rows):
-        if len(fields) < len(columns):
-            raise InvalidInputError(
-                f"points {path}, line {number}: expected {len(columns)} columns, got {len(fields)}"
-            )
-        if _field(columns, fields, ("defined",)) in ("0", "false"):
+    for i, row in enumerate(table.rows(columns, axes)):
+        if table.flag(row, "defined") is False:
             undefined += 1
             continue
-        points.append(finite_coordinates(path, number, [fields[k] for k in place], separator != ","))
-        labels.append(_field(columns, fields, _LABELS) or str(i + 1))
+        points.append(table.numbers(row, axes))
+        labels.append(table.field(row, _LABELS) or str(i + 1))
     return points_read(path, labels, np.array(points).reshape(-1, 3) * unit_m, source, system, undefined)
 
 
@@ -128,8 +111,3 @@ def _columns_without_header(path: Path, fields: Sequence[str]) -> list[str]:
         f"points {path}: expected the columns label, x, y, z, or a header that names x, y and z, got "
         f"{len(fields)} columns"
     )
-
-
-def _field(columns: Sequence[str], fields: Sequence[str], names: Sequence[str]) -> str:
-    """Return what a row has in the first of the named columns that exists, or nothing."""
-    return next((fields[columns.index(name)] for name in names if name in columns), "")

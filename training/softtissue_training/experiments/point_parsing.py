@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,7 +15,20 @@ from softtissue_training.experiments.labelled_points import LabelledPoints
 
 MM = 1e-3  # m
 
+_NUMBER = re.compile(r"\s*[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[-+]?\d+)?\s*$", re.IGNORECASE | re.ASCII)
+
 _log = logging.getLogger(__name__)
+
+
+def is_number(field: str) -> bool:
+    """Tell whether a text is a number, with a decimal point or comma.
+
+    Examples
+    --------
+    >>> is_number("-1,5"), is_number("2e3"), is_number("1_000"), is_number("x")
+    (True, True, False, False)
+    """
+    return bool(_NUMBER.match(field))
 
 
 def finite_coordinates(
@@ -22,7 +36,9 @@ def finite_coordinates(
 ) -> list[float]:
     """Turn three texts into finite numbers, or say in which line they are none."""
     try:
-        values = [float(field.replace(",", ".") if decimal_comma else field) for field in fields]
+        plain = [field.replace(",", ".") if decimal_comma else field for field in fields]
+        # Python takes 1_000 for a number.
+        values = [float(field) for field in plain if is_number(field)]
     except ValueError:
         values = []
     if len(values) != 3 or not all(math.isfinite(value) for value in values):

@@ -50,6 +50,31 @@ class CellBlock:
         found = _TYPE_NAME.match(self.kind)
         return found.group(1) if found else self.kind
 
+    def mirrored(self) -> CellBlock:
+        """Return surface cells wound the other way round; volume cells stay, whose faces are wound anew anyway."""
+        if self.shape not in ("triangle", "quad", "polygon"):
+            return self
+        corners = _CORNER_COUNT.get(self.shape, self.nodes.shape[1])
+        return CellBlock(self.shape, self.nodes[:, :corners][:, ::-1])
+
+
+@dataclass(frozen=True, eq=False)
+class MeshCells:
+    """What a file holds.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        In the file's unit, all of them, in the order of the file.
+    blocks : sequence of CellBlock
+    system : str or None
+        The coordinate system that the file states, 'LPS' for example; None if it states none.
+    """
+
+    points: FloatArray
+    blocks: Sequence[CellBlock]
+    system: str | None = None
+
 
 def check_cells(blocks: Sequence[CellBlock], vertex_count: int) -> None:
     """Raise MeshError if cells are of an unknown kind, name vertices that do not exist or have no surface."""

@@ -6,7 +6,9 @@ exit code 3, the last line on stderr says why the file cannot be read.
 
 from __future__ import annotations
 
+import re
 import sys
+import tempfile
 import warnings
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,8 @@ import numpy as np
 UNREADABLE = 3
 _LEAST_MEMORY_BYTES = 4 << 30  # beside a multiple of the file's size
 _MEMORY_BYTES_PER_FILE_BYTE = 200
+_MSH_SECTION = re.compile(rb"^\$(?!End)(\w+)[ \t]*\r?$", re.MULTILINE)
+_MSH_GEOMETRY = (b"MeshFormat", b"Nodes", b"Elements")
 
 
 class _UnreadableError(Exception):
@@ -73,13 +77,25 @@ def _read_vtk(source: str, kind: str) -> dict[str, Any]:
         cells = [(np.full(part.GetNumberOfCells(), number), part) for number, part in parts]
     else:
         cells = [(to_numpy(_cell_types(data)), data.GetCells())]
-    arrays = {"points": to_numpy(data.GetPoints().GetData())}
+    arrays = {"points": to_numpy(data.GetPoints().GetData()), "header": np.array(_header(reader, data))}
     for i, (types, part) in enumerate(cells):
         if part is not None and part.GetNumberOfCells() > 0:
             arrays[f"types{i}"] = types
             arrays[f"offsets{i}"] = to_numpy(part.GetOffsetsArray())
             arrays[f"nodes{i}"] = to_numpy(part.GetConnectivityArray())
     return arrays
+
+
+def _header(reader: Any, data: Any) -> str:
+    """Return the title of a legacy file and the text arrays that belong to the whole, one a line."""
+    lines = [f"title: {reader.GetHeader() or ''}"] if hasattr(reader, "GetHeader") else []
+    fields = data.GetFieldData()
+    for i in range(fields.GetNumberOfArrays()):
+        array: Any = fields.GetAbstractArray(i)
+        if array.IsA("vtkStringArray") and array.GetNumberOfValues() == 1:
+            lines.append(f"{array.GetName()}={array.GetValue(0)}")
+    # Damaged text need not be UTF-8.
+    return "\n".join(lines).encode(errors="replace").decode(errors="replace")
 
 
 def _vtk_reader(kind: str) -> Any:
@@ -112,25 +128,56 @@ def _cell_types(grid: Any) -> Any:
         return grid.GetCellTypesArray()
 
 
+class _Geometry:
+    """In the place of meshio's Mesh, which refuses data of cells that do not fit all of them."""
+
+    def __init__(self, points: Any, cells: Any, **_beside: Any) -> None:
+        self.points, self.cells = points, cells
+
+
 def _read_msh(source: str) -> dict[str, Any]:
     """Points; kind and nodes of each block of cells."""
-    # meshio's own `read` ends the program if it cannot read a file.
-    from meshio.gmsh import read
+    import meshio.gmsh
+    from meshio.gmsh import _gmsh22, _gmsh41
 
+    for version in (_gmsh22, _gmsh41):
+        version.Mesh = _Geometry
     # numpy warns of numbers that end too early; what is missing then shows in the shapes.
     warnings.simplefilter("ignore")
     try:
-        mesh = read(source)
+        with tempfile.TemporaryFile() as file:
+            file.write(_geometry_alone(Path(source).read_bytes()))
+            file.seek(0)
+            # meshio's own `read` ends the program if it cannot read a file.
+            mesh = meshio.gmsh.main.read_buffer(file)
         arrays: dict[str, Any] = {"points": np.asarray(mesh.points, dtype=np.float64)}
-        for i, block in enumerate(mesh.cells):
-            arrays[f"kind{i}"] = np.array(block.type)
-            arrays[f"nodes{i}"] = np.asarray(block.data, dtype=np.int64)
+        for i, (kind, nodes) in enumerate(map(_kind_and_nodes, mesh.cells)):
+            arrays[f"kind{i}"] = np.array(kind)
+            arrays[f"nodes{i}"] = np.asarray(nodes, dtype=np.int64)
+    except MemoryError:
+        raise
     except Exception as error:
         # It raises whatever it stumbles over in damaged files: ReadError, ValueError, IndexError, KeyError, ...
         raise _UnreadableError(
             f"damaged or cut off ({' '.join(f'{type(error).__name__} {error}'.split())})"
         ) from error
     return arrays
+
+
+def _kind_and_nodes(block: Any) -> tuple[str, Any]:
+    return (block.type, block.data) if hasattr(block, "type") else block
+
+
+def _geometry_alone(content: bytes) -> bytes:
+    """Leave out the sections of a MSH file that name groups, entities and data, which may fit the cells or not."""
+    kept, at = [], 0
+    while section := _MSH_SECTION.search(content, at):
+        name = section.group(1)
+        end = content.find(b"$End" + name, section.end())
+        at = len(content) if end < 0 else end + len(b"$End" + name)
+        if name in _MSH_GEOMETRY:
+            kept.append(content[section.start() : at] + b"\n")
+    return b"".join(kept)
 
 
 if __name__ == "__main__":

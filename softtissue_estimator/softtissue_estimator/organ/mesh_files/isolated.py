@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import logging
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -16,8 +17,10 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.organ.mesh_files.cells_worker import UNREADABLE
+from softtissue_estimator.organ.mesh_files.plain_text import without_mark
 
 _TIMEOUT_S = 300.0
+_DECLARED_ENCODING = re.compile(rb"^(\s*<\?xml[^>]*encoding=[\"'])[^\"']*([\"'])")
 _WORKER = Path(__file__).with_name("cells_worker.py")
 
 _log = logging.getLogger(__name__)
@@ -40,7 +43,8 @@ def read_isolated(path: Path, expected: str) -> dict[str, NDArray[Any]]:
     """
     with tempfile.TemporaryDirectory(prefix="softtissue_") as folder:
         target = Path(folder) / "cells.npz"
-        command = [sys.executable, "-P", str(_WORKER), str(path.resolve()), path.suffix.lower(), str(target)]
+        source = _plain(path, Path(folder))
+        command = [sys.executable, "-P", str(_WORKER), str(source), path.suffix.lower(), str(target)]
         # Every thread of a linear algebra library would take of the bounded memory.
         environment = {
             **os.environ,
@@ -69,6 +73,18 @@ def read_isolated(path: Path, expected: str) -> dict[str, NDArray[Any]]:
     _log.debug("reading %s ended with exit code %d, %s", path, done.returncode, printed)
     why = printed if done.returncode == UNREADABLE else "damaged or cut off"
     raise MeshError(f"expected {expected}, got a file that cannot be read as such: {why}")
+
+
+def _plain(path: Path, folder: Path) -> Path:
+    """Return the file, or a copy as UTF-8 without mark in a folder if it begins with a mark or is UTF-16."""
+    with path.open("rb") as file:
+        start = file.read(64)
+    if without_mark(start) == start:
+        return path.resolve()
+    content = without_mark(path.read_bytes())
+    copy = folder / f"plain{path.suffix.lower()}"
+    copy.write_bytes(_DECLARED_ENCODING.sub(rb"\1UTF-8\2", content, count=1))
+    return copy
 
 
 def require_library(module: str, library: str, extra: str, suffix: str) -> None:

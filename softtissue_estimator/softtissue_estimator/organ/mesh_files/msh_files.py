@@ -8,17 +8,20 @@ from pathlib import Path
 import numpy as np
 
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.organ.mesh import FloatArray
-from softtissue_estimator.organ.mesh_files.cell_surface import CellBlock
+from softtissue_estimator.organ.mesh_files.cell_surface import CellBlock, MeshCells
+from softtissue_estimator.organ.mesh_files.coordinate_system import stated_system
 from softtissue_estimator.organ.mesh_files.isolated import read_isolated, require_library
+from softtissue_estimator.organ.mesh_files.plain_text import without_mark
 
 MSH_FORMATS = (".msh",)
-_VERSION = re.compile(rb"\s*\$MeshFormat\s+([\d.]+)\s")
+_START_BYTES = 4096  # even: characters of UTF-16 have two or four
+_VERSION = re.compile(rb"^\$MeshFormat\s+([\d.]+)\s", re.MULTILINE)
+_COMMENTS = re.compile(rb"\$Comments?\s(.*?)\$EndComments?", re.DOTALL)
 _VERSIONS = (b"2", b"2.0", b"2.1", b"2.2", b"4.1")
 
 
-def read_msh(path: Path) -> tuple[FloatArray, list[CellBlock]]:
-    """Read points (n, 3) in the file's unit, in the order in which they are stored, and cells.
+def read_msh(path: Path) -> MeshCells:
+    """Read points in the file's unit, in the order in which they are stored, and cells.
 
     Raises
     ------
@@ -27,7 +30,8 @@ def read_msh(path: Path) -> tuple[FloatArray, list[CellBlock]]:
     """
     require_library("meshio", "meshio", "msh", path.suffix)
     with path.open("rb") as file:
-        version = _VERSION.match(file.read(200))
+        start = without_mark(file.read(_START_BYTES))
+    version = _VERSION.search(start)
     # meshio misreads text of version 4.0, which Gmsh wrote for a year only.
     if version and version.group(1) not in _VERSIONS:
         raise MeshError(
@@ -41,4 +45,5 @@ def read_msh(path: Path) -> tuple[FloatArray, list[CellBlock]]:
         blocks.append(CellBlock(str(arrays[f"kind{i}"]), arrays[f"nodes{i}"]))
     if points.ndim != 2 or points.shape[1] != 3 or any(block.nodes.ndim != 2 for block in blocks):
         raise MeshError("expected MSH of Gmsh, got a file without points or cells")
-    return points, blocks
+    comments = b"\n".join(_COMMENTS.findall(start)).decode("utf-8", errors="replace")
+    return MeshCells(points, blocks, stated_system(comments))

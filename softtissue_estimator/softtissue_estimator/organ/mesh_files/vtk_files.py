@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.organ.mesh import FloatArray, IntArray
-from softtissue_estimator.organ.mesh_files.cell_surface import CellBlock
+from softtissue_estimator.organ.mesh import IntArray
+from softtissue_estimator.organ.mesh_files.cell_surface import CellBlock, MeshCells
+from softtissue_estimator.organ.mesh_files.coordinate_system import stated_system
 from softtissue_estimator.organ.mesh_files.isolated import read_isolated, require_library
 
 VTK_FORMATS = (".vtk", ".vtp", ".vtu")
@@ -54,8 +55,8 @@ _CELL_TYPE_NAMES = {
 _CELL_ARRAYS = 4  # polygons, strips, lines and points of PolyData; an UnstructuredGrid has one
 
 
-def read_vtk(path: Path) -> tuple[FloatArray, list[CellBlock]]:
-    """Read points (n, 3) in the file's unit and cells.
+def read_vtk(path: Path) -> MeshCells:
+    """Read points in the file's unit and cells.
 
     Raises
     ------
@@ -74,7 +75,7 @@ def read_vtk(path: Path) -> tuple[FloatArray, list[CellBlock]]:
                 arrays[f"{name}{i}"].astype(np.int64) for name in ("types", "offsets", "nodes")
             )
             blocks += _blocks(types, offsets, nodes)
-    return points, blocks
+    return MeshCells(points, blocks, stated_system(str(arrays.get("header", ""))))
 
 
 def _blocks(kinds: IntArray, offsets: IntArray, nodes: IntArray) -> Iterator[CellBlock]:

@@ -128,24 +128,37 @@ def _columns(table: NDArray[Any], names: tuple[str, ...]) -> NDArray[np.floating
 
 def _table(message: PointCloud2, names: tuple[str, ...]) -> NDArray[Any]:
     """View the bytes of a cloud as (height, width) records with the named fields."""
-    width, height, step = int(message.width), int(message.height), int(message.point_step)
+    width, height, step = _size(message)
     if width * height == 0:
         raise InvalidInputError(f"cloud: expected at least one point, got width {width} x height {height}")
     record = _record(message, names)
-    # Drivers of unorganised clouds often leave row_step unset: with a single row it says nothing.
-    row_step = int(message.row_step)
+    row_step, size = int(message.row_step), len(message.data)
+    # Drivers leave row_step unset or give it the size of the whole cloud. Where points fill the data, it says nothing.
+    if size == width * step * height:
+        row_step = width * step
     if height == 1 and row_step < width * step:
         row_step = width * step
     if row_step < width * step:
         raise InvalidInputError(
             f"cloud: expected row_step of at least width {width} x point_step {step} bytes, got {row_step}"
         )
-    if len(message.data) != row_step * height:
+    if size != row_step * height:
         raise InvalidInputError(
-            f"cloud: expected {row_step * height} bytes of data (row_step {row_step} x height {height}),"
-            f" got {len(message.data)}"
+            f"cloud: expected {row_step * height} bytes of data (row_step {row_step} x height {height}), got {size}"
         )
     return np.ndarray((height, width), dtype=record, buffer=message.data, strides=(row_step, step))
+
+
+def _size(message: PointCloud2) -> tuple[int, int, int]:
+    """Return width, height and bytes of a point; one of the former that is 0 is 1 or what the others leave."""
+    width, height, step = int(message.width), int(message.height), int(message.point_step)
+    points, rest = divmod(len(message.data), step) if step else (0, 1)
+    if points > 0 and rest == 0:
+        if height == 0 and width == points:
+            height = 1
+        elif width == 0 and height == 1:
+            width = points
+    return width, height, step
 
 
 def _record(message: PointCloud2, names: tuple[str, ...]) -> np.dtype[Any]:

@@ -76,3 +76,30 @@ def test_damaged_files_of_gmsh_are_refused_or_read(gmsh, tmp_path):
     outcomes = {outcome(tmp_path / "box.msh", content) for content in damaged(whole, 2, 4)}
     assert outcomes <= {"mesh", "one sentence"}
     assert outcome(tmp_path / "box.msh", whole) == "mesh"
+
+
+@pytest.mark.parametrize("binary", [False, True], ids=["text", "binary"])
+@pytest.mark.parametrize("version", [2.2, 4.1])
+@pytest.mark.parametrize("groups", [[3], [1, 2], [0, 2, 3]])
+def test_groups_on_a_part_change_nothing(gmsh, tmp_path, version, binary, groups):
+    """Gmsh's option to save all cells, though some belong to no group; data of some cells and nodes beside them."""
+    path = tmp_path / "box.msh"
+    nodes = gmsh_box(gmsh, path)
+    for number, dimension in enumerate(groups):
+        tags = [tag for _, tag in gmsh.model.getEntities(dimension)][: 1 + dimension % 2]
+        gmsh.model.addPhysicalGroup(dimension, tags, 5 + number, name=f"group {number}")
+    gmsh.option.setNumber("Mesh.MshFileVersion", version)
+    gmsh.option.setNumber("Mesh.Binary", int(binary))
+    gmsh.option.setNumber("Mesh.SaveAll", 1)
+    gmsh.write(str(path))
+    gmsh.option.setNumber("Mesh.SaveAll", 0)
+    beside = b'$ElementData\n1\n"x"\n1\n0.0\n3\n0\n1\n2\n1 0.5\n2 0.5\n$EndElementData\n$Unknown\n1 2\n$EndUnknown\n'
+    path.write_bytes(path.read_bytes() + beside)
+    check_volume(read_mesh(path, MM), nodes, 80 * 60 * 40)
+
+
+def test_the_coordinate_system_may_stand_in_a_comment(gmsh, tmp_path):
+    nodes = gmsh_box(gmsh, tmp_path / "box.msh", binary=True)
+    content = (tmp_path / "box.msh").read_bytes()
+    (tmp_path / "box.msh").write_bytes(b"$Comments\nSPACE=RAS\n$EndComments\n" + content)
+    check_volume(read_mesh(tmp_path / "box.msh", MM, "LPS"), nodes * [-1.0, -1.0, 1.0], 80 * 60 * 40)

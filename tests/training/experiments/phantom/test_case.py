@@ -159,6 +159,18 @@ def test_points_in_the_other_system_are_recognised(tmp_path):
         load_phantom_case(folder)
 
 
+def test_a_system_that_the_surface_contradicts_is_refused(tmp_path):
+    folder = write_case(tmp_path)
+    surface = folder / yaml.safe_load((folder / "organ.yaml").read_text())["surface"]
+    content = surface.read_bytes().replace(b"element vertex", b"comment SPACE=RAS\nelement vertex", 1)
+    surface.write_bytes(content)
+    with pytest.raises(
+        SoftTissueError,
+        match="system: expected RAS, as the file of the organ's surface states, got LPS",
+    ):
+        load_phantom_case(folder)
+
+
 def test_correspondences_away_from_the_surface_are_refused(tmp_path):
     folder = write_case(tmp_path)
     write_table(folder / "correspondences.csv", 0.5 * seen_points(5))

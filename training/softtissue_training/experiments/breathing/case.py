@@ -19,6 +19,7 @@ from softtissue_estimator.organ.surface_repair import check_closed, clean_organ_
 from softtissue_training.experiments.coordinates import (
     COORDINATE_SYSTEMS,
     CoordinateSystem,
+    check_system,
     convert_coordinates,
 )
 from softtissue_training.experiments.yaml_entries import Entries, read_entries
@@ -111,7 +112,11 @@ def load_case(folder: Path) -> BreathingCase:
     anterior, alignment = _anterior(entries), entries.choice("alignment", ALIGNMENTS, ALIGNMENTS[0])
     surface_file, truth_file = entries.required_file("surface_after"), entries.file("truth")
     organ = load_organ(folder)
-    surface = clean_organ_surface(read_mesh(surface_file, unit_m), str(surface_file)).mesh
+    if entries.value("system") is not None:
+        check_system(
+            str(entries.path), cast(CoordinateSystem, entries.choice("system", COORDINATE_SYSTEMS)), organ
+        )
+    surface = clean_organ_surface(read_mesh(surface_file, unit_m, organ.system), str(surface_file)).mesh
     check_closed(surface, str(surface_file))
     _check_volume(entries, surface, organ, unit)
     structures = _structures(entries, organ, unit_m)
@@ -139,7 +144,7 @@ def _structures(entries: Entries, organ: Organ, unit_m: float) -> dict[str, Surf
             raise InvalidInputError(
                 f"{entry.where('name')}: expected each structure once, got {name!r} again"
             )
-        found[name] = read_mesh(entry.required_file("mesh"), unit_m).mesh
+        found[name] = read_mesh(entry.required_file("mesh"), unit_m, organ.system).mesh
     return found
 
 

@@ -17,6 +17,7 @@ from softtissue_estimator.organ.organ_file import read_organ_file
 from softtissue_estimator.organ.signed_distance import signed_distance
 from softtissue_estimator.organ.surface_patch import patch
 from softtissue_training.experiments.coherent_point_drift import spread_points
+from softtissue_training.experiments.coordinates import check_system
 from softtissue_training.experiments.paired_points import (
     PairedPoints,
     read_pair_of_lists,
@@ -107,6 +108,7 @@ def load_phantom_case(folder: Path) -> PhantomCase:
         raise InvalidInputError(f"case {folder}: expected a folder, found none")
     file = read_case_file(folder, read_organ_file(folder).unit)
     organ = load_organ(folder)
+    check_system(f"case {folder}", file.system, organ)
     markers = _read_pairs(file.markers, file, "markers")
     _check_inside(markers, organ)
     correspondences = None
@@ -149,7 +151,7 @@ def _read_surface(path: Path, file: CaseFile) -> ObservedSurface:
             )
         points = read_points(path, file.unit_m, file.system).points
         return ObservedSurface(points[spread_points(points, _SURFACE_POINTS)])
-    mesh = read_mesh(path, file.unit_m).mesh
+    mesh = read_mesh(path, file.unit_m, file.system).mesh
     if file.visible is None:
         return points_of_surface(mesh)
     centre, share = file.visible
