@@ -44,7 +44,7 @@ def main() -> None:
         if failure is not None:
             stop.stop(BAD_INPUT if isinstance(failure, SoftTissueError) else CRASH)
 
-    spinner = Spinner(node, crash, start)
+    spinner = Spinner(node, crash, start, node.boundary)
     stop.event.wait()
     orderly = spinner.stop(PATIENCE_S)
     orderly = node.close(PATIENCE_S) and orderly

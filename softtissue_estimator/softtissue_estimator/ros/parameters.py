@@ -102,6 +102,6 @@ def accepted() -> SetParametersResult:
     return SetParametersResult(successful=True)
 
 
-def refused(error: InvalidInputError) -> SetParametersResult:
+def refused(sentence: str) -> SetParametersResult:
     """Answer to a change of parameters that is not taken."""
-    return SetParametersResult(successful=False, reason=str(error))
+    return SetParametersResult(successful=False, reason=sentence)

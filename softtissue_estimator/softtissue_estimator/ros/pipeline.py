@@ -17,11 +17,11 @@ class Pipeline:
     counters : FrameCounters
         Told what was dropped because something newer came.
     on_crash : callable
-        Takes what a half raised; its thread ends with it.
+        Takes what a half raised; its thread goes on with the next item.
     """
 
     def __init__(
-        self, responder: Responder, counters: FrameCounters, on_crash: Callable[[BaseException], None]
+        self, responder: Responder, counters: FrameCounters, on_crash: Callable[[BaseException], object]
     ) -> None:
         self._responder, self._counters = responder, counters
         self._answering: LatestWorker[Outcome] = LatestWorker(responder.deliver, on_crash, "answer")

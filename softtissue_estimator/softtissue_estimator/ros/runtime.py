@@ -55,6 +55,8 @@ class Spinner:
         Runs first in that thread.
     on_error : callable
         Takes what a callback raised; the thread ends with it.
+    boundary : Boundary, optional
+        Inside it what a callback raises ends nothing.
     """
 
     def __init__(
@@ -62,12 +64,16 @@ class Spinner:
         node: Any,
         on_error: Callable[[BaseException], None],
         before: Callable[[], None] | None = None,
+        boundary: Any = None,
     ) -> None:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.task import Future
 
+        from softtissue_estimator.ros.bounded import BoundedExecutor
+
         self._node, self._before, self._on_error = node, before, on_error
-        self._executor = SingleThreadedExecutor()
+        self._boundary = boundary
+        self._executor = SingleThreadedExecutor() if boundary is None else BoundedExecutor(boundary)
         self._executor.add_node(node)
         self._done: Any = Future()
         self._thread = threading.Thread(target=self._run, name="spin", daemon=True)
@@ -87,9 +93,20 @@ class Spinner:
         try:
             if self._before is not None:
                 self._before()
-            self._executor.spin_until_future_complete(self._done)
+            self._spin()
         except Exception as error:  # reported by the owner, which ends the program
             self._on_error(error)
+
+    def _spin(self) -> None:
+        if self._boundary is not None:
+            self._boundary.alive()
+        while not self._done.done():
+            try:
+                self._executor.spin_until_future_complete(self._done)
+                return
+            except Exception as error:
+                if self._boundary is None or not self._boundary.middleware_goes_on(error):
+                    raise
 
 
 def leave(exit_code: int, orderly: bool) -> None:
