@@ -53,6 +53,12 @@ class BoundedNode(LifecycleNode):
         guarded = self.boundary.guarded("timer", callback)
         return super().create_timer(timer_period_sec, guarded, *arguments, **options)
 
+    def destroy_node(self) -> None:
+        """Leave the ROS graph at once."""
+        super().destroy_node()
+        # It holds what the node has in shared memory; rclpy leaves it to the interpreter's end.
+        self._state_machine.destroy_when_not_in_use()
+
     def _answering(self, name: str, srv_type: Any, callback: Callable[..., Any]) -> Callable[..., Any]:
         def failed(said: str, arguments: tuple[Any, ...]) -> Any:
             return failed_response(srv_type, arguments[0], said)

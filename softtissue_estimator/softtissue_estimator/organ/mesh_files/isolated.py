@@ -7,7 +7,6 @@ import logging
 import os
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.organ.mesh_files.cells_worker import UNREADABLE
+from softtissue_estimator.support.leftovers import run_contained, temporary_folder
 
 _TIMEOUT_S = 300.0
 _WORKER = Path(__file__).with_name("cells_worker.py")
@@ -38,9 +38,9 @@ def read_isolated(path: Path, expected: str) -> dict[str, NDArray[Any]]:
     MeshError
         The file cannot be read.
     """
-    with tempfile.TemporaryDirectory(prefix="softtissue_") as folder:
-        target = Path(folder) / "cells.npz"
-        command = [sys.executable, "-P", str(_WORKER), str(path.resolve()), path.suffix.lower(), str(target)]
+    with temporary_folder() as folder:
+        target = folder / "cells.npz"
+        program = [str(_WORKER), str(path.resolve()), path.suffix.lower(), str(target)]
         # Every thread of a linear algebra library would take of the bounded memory.
         environment = {
             **os.environ,
@@ -49,15 +49,7 @@ def read_isolated(path: Path, expected: str) -> dict[str, NDArray[Any]]:
             "OPENBLAS_NUM_THREADS": "1",
         }
         try:
-            done = subprocess.run(
-                command,
-                env=environment,
-                capture_output=True,
-                text=True,
-                errors="replace",
-                timeout=_TIMEOUT_S,
-                check=False,
-            )
+            done = run_contained(program, folder, environment, _TIMEOUT_S)
         except subprocess.TimeoutExpired as error:
             raise MeshError(
                 f"expected {expected}, got a file that is not read within {_TIMEOUT_S:.0f} s"

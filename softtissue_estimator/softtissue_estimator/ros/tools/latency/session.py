@@ -13,6 +13,7 @@ from typing import Any
 
 from softtissue_estimator.errors import SoftTissueError
 from softtissue_estimator.organ.organ import Organ, load_organ
+from softtissue_estimator.ros.runtime import StopEvent
 from softtissue_estimator.ros.tools.latency.control import Remote
 from softtissue_estimator.ros.tools.latency.probe import Probe
 from softtissue_estimator.ros.tools.latency.statistics import Run, summarise
@@ -67,7 +68,7 @@ class Session:
         organ: Organ,
         scene: Scene,
         folder: Path,
-        stop: threading.Event,
+        stop: StopEvent,
     ) -> None:
         from softtissue_msgs.srv import Reset
 
@@ -218,9 +219,7 @@ class Session:
 
 
 @contextmanager
-def open_session(
-    ros_node: Any, path: Path, scene: Scene, log: Path, stop: threading.Event
-) -> Iterator[Session]:
+def open_session(ros_node: Any, path: Path, scene: Scene, log: Path, stop: StopEvent) -> Iterator[Session]:
     """Start sender and receiver for the organ in a folder; the node's log goes to another, `log`."""
     organ = load_organ(path)
     with ExitStack() as stack:
