@@ -1,6 +1,8 @@
 """No message and no call ends the node; what cannot be used is refused in a sentence, and a good cloud is answered."""
 
 import itertools
+import tempfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
 from rclpy.serialization import serialize_message
-from softtissue_msgs.srv import WarpPoints
+from softtissue_msgs.srv import LoadOrgan, WarpPoints
 
 from integration.harness import (
     CAMERA_FROM_ORGAN,
@@ -220,3 +222,34 @@ def test_parameters_of_every_type_are_answered(client, kind, name):
 def test_transition_that_does_not_exist_is_refused(client, number):
     request = ChangeState.Request(transition=Transition(id=number))
     assert not client.call(ChangeState, "change_state", request).success
+
+
+@pytest.mark.parametrize(
+    "path", ["/nowhere", "/proc/1", "x" * 300, "/a" * 3000, "~nosuchuser", "/tmp/\x1b[2J\n", "/dev/zero"]
+)
+def test_load_organ_of_any_path_is_answered(client, path):
+    response = client.call(LoadOrgan, "load_organ", LoadOrgan.Request(folder=path))
+    assert response.result == LoadOrgan.Response.INVALID_ORGAN
+    assert response.message.isprintable() and len(response.message) <= LONGEST_SENTENCE
+
+
+def test_load_organ_outside_of_the_root_is_refused(client, folder, tmp_path_factory):
+    # By default where the configured organ lies, and the bundled organs.
+    sibling = write_organ(tmp_path_factory.mktemp("sibling"))
+    response = client.call(LoadOrgan, "load_organ", LoadOrgan.Request(folder=str(sibling)))
+    assert response.result == LoadOrgan.Response.SUCCESS, response.message
+    with tempfile.TemporaryDirectory() as elsewhere:
+        write_organ(Path(elsewhere))
+        response = client.call(LoadOrgan, "load_organ", LoadOrgan.Request(folder=elsewhere))
+        assert response.result == LoadOrgan.Response.INVALID_ORGAN
+        assert "organ_root" in response.message
+        (sibling / "organ.yaml").write_text(f"unit: mm\nsurface: {elsewhere}/surface.ply\n")
+        response = client.call(LoadOrgan, "load_organ", LoadOrgan.Request(folder=str(sibling)))
+        assert response.result == LoadOrgan.Response.INVALID_ORGAN
+        assert "organ_root" in response.message
+    text = ParameterValue(type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=["/"])
+    request = SetParameters.Request(parameters=[Parameter(name="organ_root", value=text)])
+    (result,) = client.call(SetParameters, "set_parameters", request).results
+    assert not result.successful, "nobody on the ROS graph widens it"
+    back = client.call(LoadOrgan, "load_organ", LoadOrgan.Request(folder=str(folder)))
+    assert back.result == LoadOrgan.Response.SUCCESS, back.message

@@ -82,6 +82,7 @@ class Session:
     ) -> Iterator[tuple["subprocess.Popen[str]", dict[str, Any]]]:
         """Run a node; yields its process and `device` and `start_to_answer_s`, once it has answered a first cloud."""
         command = [str(executable("node")), "--ros-args", "-r", f"__ns:={NAMESPACE}", "-p", f"organ:={organ}"]
+        command += ["-p", "organ_root:=['/']"]  # whoever calls this names the organ
         for name, value in parameters.items():
             command += ["-p", f"{name}:={value}"]
         self._ask_sender("prepare", points=START_POINTS, rate_hz=START_RATE_HZ)
