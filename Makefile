@@ -8,6 +8,7 @@ DEMO_ARGS ?=
 # make bench QUICK=1: at most five minutes; BENCH_ARGS=--help.
 QUICK ?=
 BENCH_ARGS ?=
+PAIRS ?= 200
 
 VENV_STAMP := .venv/.installed
 BUILD_STAMP := ros2_ws/install/.built
@@ -24,7 +25,7 @@ BUILD_INPUTS := scripts/build_workspace scripts/env.sh \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: bench bench-gpu build clean demo distclean docs format help lint test venv verify
+.PHONY: bench bench-gpu build clean demo distclean docs format help lint signals test venv verify
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -45,6 +46,9 @@ bench-gpu: $(BUILD_STAMP) ## the same on an NVIDIA GPU, out/bench_gpu/bench.json
 test: $(BUILD_STAMP) ## all tests, in the built workspace
 	@echo "==> Running the tests"
 	@scripts/run python -m pytest -ra -n auto --dist worksteal $(PYTEST_ARGS) $(TESTS)
+
+signals: $(BUILD_STAMP) ## pairs of signals to the node at random moments, about 8 s each; PAIRS=200
+	@scripts/run python tests/integration/signal_pairs.py $(PAIRS)
 
 verify: $(VENV_STAMP) ## the physics alone: tests/verification; needs no built workspace
 	@echo "==> Verifying the simulations"

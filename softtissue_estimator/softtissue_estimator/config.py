@@ -38,6 +38,11 @@ class EstimatorConfig:
         "Which estimator answers: 'elastic', 'hybrid' (elastic and a network), 'paper' (U-Net) or a registered one.",
     )
     organ: str = _setting("", "Folder with organ.yaml; empty for the bundled phantom liver.")
+    organ_root: tuple[str, ...] = _setting(
+        ("",),
+        "Folders outside of which no organ and no file of one is read; an empty name stands for the bundled organs "
+        "and the folder in which the configured organ lies. Can only be given at the start.",
+    )
     checkpoint: str = _setting("", "Network weights (safetensors); empty for the bundled ones.")
     device: str = _setting(
         "auto", "Where the network runs; 'auto' takes a GPU if there is one.", choices=("auto", "cuda", "cpu")
@@ -124,6 +129,8 @@ def _check(field: "dataclasses.Field[Any]", value: Any) -> None:
     accepted: Any = (int, float) if kind is float else (kind,)
     if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
         raise InvalidInputError(f"parameter {field.name}: expected {kind.__name__}, got {value!r}")
+    if kind is tuple and not all(isinstance(item, str) for item in value):
+        raise InvalidInputError(f"parameter {field.name}: expected texts, got {value!r}")
     choices = field.metadata["choices"]
     if choices is not None and value not in choices:
         raise InvalidInputError(

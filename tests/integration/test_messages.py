@@ -122,12 +122,19 @@ def test_nan_stands_for_no_answer():
     ("message", "constants"),
     [
         (EstimatorStatus, {"OK": 0, "DEGRADED": 1, "INVALID": 2}),
-        (LoadOrgan.Response, {"SUCCESS": 0, "INVALID_ORGAN": 1, "NOT_CONFIGURED": 2}),
+        (LoadOrgan.Response, {"SUCCESS": 0, "INVALID_ORGAN": 1, "NOT_CONFIGURED": 2, "INTERNAL_ERROR": 3}),
         (
             WarpPoints.Response,
-            {"SUCCESS": 0, "NO_ESTIMATE": 1, "INVALID_POINTS": 2, "WRONG_FRAME": 3, "NOT_ACTIVE": 4},
+            {
+                "SUCCESS": 0,
+                "NO_ESTIMATE": 1,
+                "INVALID_POINTS": 2,
+                "WRONG_FRAME": 3,
+                "NOT_ACTIVE": 4,
+                "INTERNAL_ERROR": 5,
+            },
         ),
-        (Reset.Response, {"SUCCESS": 0, "NOT_CONFIGURED": 1}),
+        (Reset.Response, {"SUCCESS": 0, "NOT_CONFIGURED": 1, "INTERNAL_ERROR": 2}),
     ],
 )
 def test_constants_keep_their_values(message, constants):

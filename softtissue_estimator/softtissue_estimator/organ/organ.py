@@ -144,8 +144,14 @@ def make_organ(
     return Organ(name, frame, surface, structures, flags, folder, content.hexdigest(), system)
 
 
-def load_organ(folder: Path) -> Organ:
+def load_organ(folder: Path, roots: tuple[Path, ...] | None = None) -> Organ:
     """Read an organ folder; `docs/reference/organ_files.md` describes `organ.yaml`.
+
+    Parameters
+    ----------
+    folder : Path
+    roots : tuple of Path, optional
+        Folders outside of which neither it nor a file that it names may lie; None for anywhere.
 
     Raises
     ------
@@ -156,7 +162,7 @@ def load_organ(folder: Path) -> Organ:
         If a mesh cannot be read.
     """
     folder = Path(folder)
-    file = read_organ_file(folder)
+    file = read_organ_file(folder, roots)
     stored = clean_organ_surface(read_mesh(file.surface, file.unit_m), str(file.surface))
     check_size(stored.mesh, file.path, file.unit, file.unit_m)
     check_closed(stored.mesh, str(file.surface))

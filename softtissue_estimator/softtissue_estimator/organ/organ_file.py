@@ -1,17 +1,21 @@
 """Read and check `organ.yaml`; every mistake is one sentence that names the key."""
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from softtissue_estimator.errors import OrganError
+from softtissue_estimator.support.files import expanded, is_file, is_inside, read_limited, real
+from softtissue_estimator.support.yaml_file import kind_of, read_yaml, shown
 
 FILE_NAME = "organ.yaml"
 UNITS_M = {"mm": 0.001, "m": 1.0}
+_INDEX = re.compile(r"[+-]?[0-9]{1,18}")
+_MOST_INDEX_BYTES = 16 * 2**20
+_LONGEST_KEY = 40  # characters of an unknown one that are repeated
 DEFAULT_COLOUR = (0.8, 0.8, 0.8, 1.0)
 
 
@@ -73,68 +77,83 @@ class OrganFile:
         return UNITS_M[self.unit]
 
 
-def read_organ_file(folder: Path) -> OrganFile:
+def read_organ_file(folder: Path, roots: tuple[Path, ...] | None = None) -> OrganFile:
     """Read `organ.yaml` in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+    roots : tuple of Path, optional
+        Folders outside of which neither it nor a file that it names may lie; None for anywhere.
 
     Raises
     ------
     OrganError
-        If it is missing, is not YAML, or says something that cannot be meant.
+        If it is missing or outside, is not YAML, or says something that cannot be meant.
     """
     path = folder / FILE_NAME
-    if not path.is_file():
-        raise OrganError(f"organ {folder}: expected a folder with {FILE_NAME}, found none")
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except yaml.MarkedYAMLError as error:
-        line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise OrganError(f"{path}: expected YAML, got a mistake{line}: {error.problem}") from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise OrganError(f"{path}: expected YAML, got {' '.join(str(error).split())}") from error
-    top = _Entry(path, "", content, {"name", "frame", "unit", "surface", "structures", "attached"})
+    if roots is not None and not is_inside(path, roots):
+        raise OrganError(f"organ {folder}: expected a folder {_inside(roots)}, got one elsewhere")
+    if not is_file(path):
+        raise OrganError(f"organ {folder}: expected a folder with {FILE_NAME}, found none that can be read")
+    content = read_yaml(path, OrganError)
+    source = _Source(path, roots)
+    top = _Entry(source, "", content, {"name", "frame", "unit", "surface", "structures", "attached"})
     unit = top.text("unit", required_hint="mm or m")
     if unit not in UNITS_M:
-        raise OrganError(f"{path}, unit: expected mm or m, got {unit!r}")
+        raise OrganError(f"{path}, unit: expected mm or m, got {shown(unit)}")
     return OrganFile(
         path=path,
-        name=top.text("name", default=folder.resolve().name),
+        name=top.text("name", default=real(folder).name),
         frame=top.text("frame", default="organ"),
         unit=unit,
         surface=top.file("surface"),
-        structures=tuple(_structure(path, i, item) for i, item in enumerate(top.items("structures"))),
-        attached=_attached(path, top.value("attached"), UNITS_M[unit]),
+        structures=tuple(_structure(source, i, item) for i, item in enumerate(top.items("structures"))),
+        attached=_attached(source, top.value("attached"), UNITS_M[unit]),
     )
 
 
-def _structure(path: Path, index: int, content: Any) -> StructureEntry:
-    entry = _Entry(path, f"structures[{index}]", content, {"name", "kind", "mesh", "colour"})
+@dataclass(frozen=True)
+class _Source:
+    """A file, and the folders in which what it names has to lie."""
+
+    path: Path
+    roots: tuple[Path, ...] | None
+
+
+def _inside(roots: tuple[Path, ...]) -> str:
+    return f"in one of organ_root ({', '.join(str(root) for root in roots[:2])}{', ...' if len(roots) > 2 else ''})"
+
+
+def _structure(source: _Source, index: int, content: Any) -> StructureEntry:
+    entry = _Entry(source, f"structures[{index}]", content, {"name", "kind", "mesh", "colour"})
     colour = DEFAULT_COLOUR
     given = entry.value("colour")
     if given is not None:
         channels = entry.numbers("colour", given, (3, 4))
         if not all(0.0 <= c <= 1.0 for c in channels):
-            raise OrganError(f"{entry.where('colour')}: expected numbers from 0 to 1, got {given}")
+            raise OrganError(f"{entry.where('colour')}: expected numbers from 0 to 1, got {shown(given)}")
         colour = (channels[0], channels[1], channels[2], channels[3] if len(channels) == 4 else 1.0)
     return StructureEntry(entry.text("name"), entry.text("kind", default="other"), entry.file("mesh"), colour)
 
 
-def _attached(path: Path, content: Any, unit_m: float) -> AttachedEntry | None:
+def _attached(source: _Source, content: Any, unit_m: float) -> AttachedEntry | None:
     if content is None:
         return None
-    entry = _Entry(path, "attached", content, {"vertices", "spheres", "touching", "patch"})
+    entry = _Entry(source, "attached", content, {"vertices", "spheres", "touching", "patch"})
     spheres = []
     for i, item in enumerate(entry.items("spheres")):
-        sphere = _Entry(path, f"attached.spheres[{i}]", item, {"centre", "radius"})
+        sphere = _Entry(source, f"attached.spheres[{i}]", item, {"centre", "radius"})
         x, y, z = sphere.numbers("centre", sphere.value("centre"), (3,))
         radius = sphere.positive("radius")
         spheres.append(((x * unit_m, y * unit_m, z * unit_m), radius * unit_m))
     touching = None
     if entry.value("touching") is not None:
-        touch = _Entry(path, "attached.touching", entry.value("touching"), {"mesh", "distance"})
+        touch = _Entry(source, "attached.touching", entry.value("touching"), {"mesh", "distance"})
         touching = (touch.file("mesh"), touch.positive("distance") * unit_m)
     patch = None
     if entry.value("patch") is not None:
-        piece = _Entry(path, "attached.patch", entry.value("patch"), {"centre", "share"})
+        piece = _Entry(source, "attached.patch", entry.value("patch"), {"centre", "share"})
         x, y, z = piece.numbers("centre", piece.value("centre"), (3,))
         share = piece.positive("share")
         if share >= 1.0:
@@ -154,32 +173,38 @@ def _vertex_indices(entry: "_Entry") -> tuple[int, ...]:
     if isinstance(given, str):
         file = entry.file("vertices")
         try:
-            tokens = file.read_text(encoding="utf-8").split()
-        except (OSError, UnicodeDecodeError) as error:
-            raise OrganError(f"{where}: expected a text file of indices, got {file} ({error})") from error
+            tokens = read_limited(file, _MOST_INDEX_BYTES).decode("utf-8-sig").split()
+        except (OSError, ValueError) as error:
+            why = "one that is not UTF-8" if isinstance(error, UnicodeDecodeError) else str(error)
+            raise OrganError(f"{where}: expected a text file of indices, got {why}: {file}") from error
     elif isinstance(given, list):
         tokens = given
     else:
-        raise OrganError(f"{where}: expected a file name or a list of indices, got {given!r}")
-    try:
-        return tuple(int(str(token)) for token in tokens)
-    except ValueError as error:
-        raise OrganError(f"{where}: expected whole numbers, one a line, got {error}") from error
+        raise OrganError(f"{where}: expected a file name or a list of indices, got {kind_of(given)}")
+    indices = []
+    for number, token in enumerate(tokens, 1):
+        # The token itself is not repeated: the file may be any that can be read.
+        if isinstance(token, bool) or not _INDEX.fullmatch(str(token)):
+            raise OrganError(
+                f"{where}: expected whole numbers of at most 18 digits, got something else as entry {number}"
+            )
+        indices.append(int(token))
+    return tuple(indices)
 
 
 class _Entry:
     """One mapping of the file, with sentences for what may be wrong in it."""
 
-    def __init__(self, path: Path, key: str, content: Any, known: set[str]) -> None:
-        self._path, self._key = path, key
+    def __init__(self, source: _Source, key: str, content: Any, known: set[str]) -> None:
+        self._source, self._path, self._key = source, source.path, key
         if not isinstance(content, Mapping):
-            what = f"{path}, {key}" if key else str(path)
-            raise OrganError(f"{what}: expected keys {', '.join(sorted(known))}, got {content!r}")
+            what = f"{self._path}, {key}" if key else str(self._path)
+            raise OrganError(f"{what}: expected keys {', '.join(sorted(known))}, got {kind_of(content)}")
         self._content: Mapping[Any, Any] = content
         unknown = [str(k) for k in content if k not in known]
         if unknown:
             raise OrganError(
-                f"{self.where(unknown[0])}: unknown key, expected one of {', '.join(sorted(known))}"
+                f"{self.where(unknown[0][:_LONGEST_KEY])}: unknown key, expected one of {', '.join(sorted(known))}"
             )
 
     def where(self, key: str) -> str:
@@ -193,13 +218,18 @@ class _Entry:
         if value is None and default is not None:
             return default
         if not isinstance(value, str) or not value.strip():
-            got = "nothing" if value is None else repr(value)
+            got = "nothing" if value is None else shown(value)
             raise OrganError(f"{self.where(key)}: expected {required_hint}, got {got}")
         return value.strip()
 
     def file(self, key: str) -> Path:
-        file = self._path.parent / Path(self.text(key, required_hint="a file name")).expanduser()
-        if not file.is_file():
+        file = self._path.parent / expanded(self.text(key, required_hint="a file name"))
+        roots = self._source.roots
+        if roots is not None and not is_inside(file, roots):
+            raise OrganError(
+                f"{self.where(key)}: expected a file {_inside(roots)}, got one elsewhere: {file}"
+            )
+        if not is_file(file):
             raise OrganError(f"{self.where(key)}: expected a file, found none at {file}")
         return file
 
@@ -208,7 +238,7 @@ class _Entry:
         if value is None:
             return []
         if not isinstance(value, list):
-            raise OrganError(f"{self.where(key)}: expected a list, got {value!r}")
+            raise OrganError(f"{self.where(key)}: expected a list, got {shown(value)}")
         return value
 
     def numbers(self, key: str, value: Any, counts: tuple[int, ...]) -> list[float]:
@@ -217,13 +247,13 @@ class _Entry:
         )
         if not plain or len(value) not in counts:
             wanted = " or ".join(str(c) for c in counts)
-            raise OrganError(f"{self.where(key)}: expected {wanted} numbers, got {value!r}")
+            raise OrganError(f"{self.where(key)}: expected {wanted} numbers, got {shown(value)}")
         return [float(v) for v in value]
 
     def positive(self, key: str) -> float:
         value = self.value(key)
         number = self.numbers(key, [value], (1,))[0] if isinstance(value, int | float) else 0.0
         if not number > 0.0:
-            got = "nothing" if value is None else repr(value)
+            got = "nothing" if value is None else shown(value)
             raise OrganError(f"{self.where(key)}: expected a positive number, got {got}")
         return number

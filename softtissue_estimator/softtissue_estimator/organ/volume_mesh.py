@@ -10,7 +10,7 @@ import logging
 import os
 import subprocess
 import sys
-import tempfile
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,6 +23,7 @@ from scipy.spatial import cKDTree
 
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.organ.mesh import FloatArray, IntArray, SurfaceMesh, enclosed_volume
+from softtissue_estimator.support.leftovers import run_contained, temporary_folder
 
 _log = logging.getLogger(__name__)
 _CUBED_EDGES_PER_VOLUME = 450.0  # edge length = cube root of volume / this; gives 500 to 900 nodes for organs
@@ -31,23 +32,7 @@ _FEWEST_NODES, _MOST_NODES = 250, 1100  # fewer resolve no bending, with more a 
 _TIMEOUT_S = 300.0
 _LOCATION_CANDIDATES = 24  # tetrahedra with the nearest centroids, among which a point is looked for
 _MOST_EXTRAPOLATION = 0.75  # lowest weight, below zero
-
-# Runs as its own program; knows nothing but numpy and one module of pytetwild. The package's __init__ would import
-# PyVista, which pytetwild does not install and nothing here needs.
-_PROGRAM = """
-import importlib.util
-import sys
-import numpy as np
-sys.modules["pytetwild"] = importlib.util.module_from_spec(importlib.util.find_spec("pytetwild"))
-from pytetwild.pytetwild import tetrahedralize
-source, target, edge, envelope = sys.argv[1:]
-with np.load(source) as surface:
-    nodes, tets = tetrahedralize(
-        surface["vertices"], surface["faces"], edge_length_abs=float(edge), epsilon=float(envelope), coarsen=True,
-        num_threads=1, quiet=True,
-    )
-np.savez(target, nodes=nodes, tets=tets)
-"""
+_WORKER = Path(__file__).with_name("tetrahedra_worker.py")
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,33 +190,25 @@ def _signed_volumes(nodes: FloatArray, tets: IntArray) -> FloatArray:
 def _run_ftetwild(surface: SurfaceMesh, edge_m: float) -> tuple[FloatArray, IntArray]:
     # About its centre: what is far from the origin loses digits.
     centre = surface.vertices.mean(axis=0)
-    with tempfile.TemporaryDirectory(prefix="softtissue_") as folder:
-        source, target = Path(folder) / "surface.npz", Path(folder) / "tets.npz"
+    with temporary_folder() as folder:
+        source, target = folder / "surface.npz", folder / "tets.npz"
         np.savez(source, vertices=surface.vertices - centre, faces=surface.faces.astype(np.int32))
-        command = [
-            sys.executable,
-            "-P",
-            "-c",
-            _PROGRAM,
-            str(source),
-            str(target),
-            repr(edge_m),
-            repr(_ENVELOPE_SHARE),
-        ]
+        program = [str(_WORKER), str(source), str(target), repr(edge_m), repr(_ENVELOPE_SHARE)]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
         try:
-            done = subprocess.run(
-                command, cwd=folder, env=environment, capture_output=True, text=True, timeout=_TIMEOUT_S
-            )
+            done = run_contained(program, folder, environment, _TIMEOUT_S)
         except subprocess.TimeoutExpired as error:
             raise MeshError(
                 f"volume mesh: expected tetrahedra within {_TIMEOUT_S:.0f} s, got none for a surface of "
                 f"{len(surface.faces)} triangles"
             ) from error
-        if done.returncode != 0 or not target.is_file():
-            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            raise MeshError(
-                f"volume mesh: expected tetrahedra, got exit code {done.returncode} from fTetWild ({last})"
-            )
-        with np.load(target) as result:
-            return result["nodes"] + centre, result["tets"]
+        try:
+            if done.returncode == 0:
+                with np.load(target) as result:
+                    return result["nodes"] + centre, result["tets"]
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise MeshError(f"volume mesh: expected tetrahedra, got {type(error).__name__}") from error
+    last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+    raise MeshError(
+        f"volume mesh: expected tetrahedra, got exit code {done.returncode} from fTetWild ({last})"
+    )

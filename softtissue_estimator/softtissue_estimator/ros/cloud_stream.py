@@ -1,10 +1,10 @@
 """What runs while the node is active: clouds in, answers out, and a complaint where no clouds come."""
 
 import time
-from collections.abc import Callable
 
 from rclpy.node import Node
 
+from softtissue_estimator.ros.boundary import Boundary
 from softtissue_estimator.ros.frames import Frame
 from softtissue_estimator.ros.inputs.counters import FrameCounters
 from softtissue_estimator.ros.inputs.intake import Intake, Received
@@ -26,10 +26,8 @@ class CloudStream:
     responder : Responder
     counters : FrameCounters
     registration : Registration
-    warn : callable
-        Takes a sentence for the log.
-    on_crash : callable
-        Takes an exception that nobody expected.
+    boundary : Boundary
+        Takes sentences for the log, and exceptions that nobody expected.
     """
 
     def __init__(
@@ -38,11 +36,10 @@ class CloudStream:
         responder: Responder,
         counters: FrameCounters,
         registration: Registration,
-        warn: Callable[[str], None],
-        on_crash: Callable[[BaseException], None],
+        boundary: Boundary,
     ) -> None:
         self._node, self._responder, self._counters = node, responder, counters
-        self._registration, self._warn, self._on_crash = registration, warn, on_crash
+        self._registration, self._boundary = registration, boundary
         self._pipeline: Pipeline | None = None
         self._intake: Intake | None = None
         self._open_since_s = self._complained_s = 0.0
@@ -54,10 +51,18 @@ class CloudStream:
 
     def open(self) -> str:
         """Begin to answer; return the full name of the topic of clouds."""
-        self._pipeline = Pipeline(self._responder, self._counters, self._on_crash)
+        self._pipeline = Pipeline(
+            self._responder, self._counters, lambda error: self._boundary.sentence("pipeline", error)
+        )
         self._open_since_s, self._complained_s = time.monotonic(), -SILENCE_PERIOD_S
         self._intake = Intake(
-            self._node, self._counters, self._registration, self._take, self._responder.refuse, self._warn
+            self._node,
+            self._counters,
+            self._registration,
+            self._take,
+            self._responder.refuse,
+            self._boundary.warn,
+            self._boundary.sentence,
         )
         return self._intake.topic
 

@@ -6,12 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.errors import OrganError
 from softtissue_estimator.estimators.estimator import Estimator, create_estimator
 from softtissue_estimator.organ.organ import Organ, load_organ
+from softtissue_estimator.organ.organ_file import FILE_NAME
 from softtissue_estimator.ros.frames import unmoved
 from softtissue_estimator.ros.outputs.answer_buffer import AnswerBuffer
 from softtissue_estimator.ros.outputs.markers import MarkerBuffer
 from softtissue_estimator.ros.outputs.status import Setup
+from softtissue_estimator.support.files import real
 from softtissue_estimator.support.log_lines import log_lines
 from softtissue_estimator.support.resources import bundled_organ
 
@@ -29,6 +32,20 @@ class Engine:
     def setup(self) -> Setup:
         """Names for the status."""
         return Setup(self.estimator.name, self.estimator.device, self.organ.name, self.organ.frame)
+
+
+def organ_roots(config: EstimatorConfig) -> tuple[Path, ...]:
+    """Return the folders outside of which no organ is read; the empty one of `organ_root` stands for the usual two."""
+    roots: list[Path] = []
+    for given in config.organ_root:
+        if given:
+            roots.append(Path(given))
+            continue
+        for folder in (Path(config.organ) if config.organ else bundled_organ(), bundled_organ()):
+            # Also where links lead: an installation may consist of them.
+            roots.append(real(folder).parent)
+            roots.append(real(folder / FILE_NAME).parent.parent)
+    return tuple(dict.fromkeys(roots))
 
 
 def load_engine(folder: str, config: EstimatorConfig, say: Callable[[str], None]) -> Engine:
@@ -51,12 +68,15 @@ def load_engine(folder: str, config: EstimatorConfig, say: Callable[[str], None]
     say(f"loading organ {path}")
     began = time.monotonic()
     with log_lines(say):
-        organ = load_organ(path)
-    estimator = create_estimator(config)
-    estimator.load_organ(organ, say)
-    # Libraries set themselves up in the first estimate, which would make the first cloud late.
-    estimator.estimate(unmoved(organ, config))
-    points, markers = AnswerBuffer(organ), MarkerBuffer(organ, config.no_data_timeout_s)
+        organ = load_organ(path, organ_roots(config))
+    try:
+        estimator = create_estimator(config)
+        estimator.load_organ(organ, say)
+        # Libraries set themselves up in the first estimate, which would make the first cloud late.
+        estimator.estimate(unmoved(organ, config))
+        points, markers = AnswerBuffer(organ), MarkerBuffer(organ, config.no_data_timeout_s)
+    except MemoryError as error:
+        raise OrganError(f"organ {path}: expected one that fits into memory, got one too large") from error
     say(
         f"organ {organ.name!r} with {len(organ.structures)} structures is ready after"
         f" {time.monotonic() - began:.1f} s: estimator {estimator.name!r} on {estimator.device}"

@@ -1,15 +1,14 @@
 """The managed node `softtissue_estimator`: parameters, services, life cycle. The work is done elsewhere."""
 
 import threading
-import time
-import traceback
 from collections.abc import Callable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.logging import get_logger
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
@@ -20,6 +19,8 @@ from visualization_msgs.msg import MarkerArray
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
 from softtissue_estimator.ros import parameters
+from softtissue_estimator.ros.boundary import Boundary
+from softtissue_estimator.ros.bounded import BoundedNode
 from softtissue_estimator.ros.cloud_stream import CloudStream
 from softtissue_estimator.ros.engine import Engine, load_engine
 from softtissue_estimator.ros.inputs.counters import FrameCounters
@@ -27,10 +28,8 @@ from softtissue_estimator.ros.inputs.registration import Registration, tf_source
 from softtissue_estimator.ros.outputs.status import diagnostics_message
 from softtissue_estimator.ros.responder import Outputs, Responder
 from softtissue_estimator.ros.services import answer_warp, loaded
-from softtissue_estimator.ros.throttle import Throttle
 
 NAME = "softtissue_estimator"
-LOG_PERIOD_S = 5.0
 STOP_TIMEOUT_S = 2.0
 OUTPUT_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
@@ -41,13 +40,13 @@ SUCCESS, FAILURE, ERROR = (
 )
 
 
-class EstimatorNode(LifecycleNode):
+class EstimatorNode(BoundedNode):
     """Publishes where the inside of an organ is, many times a second.
 
     Parameters
     ----------
     on_crash : callable
-        Takes an exception that nobody expected; the program should end.
+        Takes an exception after which the process cannot go on; the program should end.
 
     Raises
     ------
@@ -56,26 +55,25 @@ class EstimatorNode(LifecycleNode):
     """
 
     def __init__(self, on_crash: Callable[[BaseException], None]) -> None:
-        super().__init__(NAME)
-        self._on_crash = on_crash
+        super().__init__(NAME, Boundary(get_logger(NAME), on_crash))
         self._failure: Exception | None = None
         parameters.declare_parameters(self)
         self._config: EstimatorConfig = parameters.read_config(self)
-        self.add_on_set_parameters_callback(self._on_parameters)
-        self._throttle = Throttle(LOG_PERIOD_S)
+        self.add_on_set_parameters_callback(
+            self.boundary.guarded("parameters", self._on_parameters, lambda said, _: parameters.refused(said))
+        )
         self._counters = FrameCounters()
         self._registration = Registration(tf_source(self))
         outputs = Outputs(
             self.create_lifecycle_publisher(PointCloud2, "~/deformed_points", OUTPUT_QOS),
             self.create_lifecycle_publisher(MarkerArray, "~/markers", OUTPUT_QOS),
             self.create_lifecycle_publisher(EstimatorStatus, "~/status", OUTPUT_QOS),
-            self._warn,
+            self.boundary.warn,
+            self.boundary.sentence,
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
         self._responder = Responder(outputs, self._counters, self._registration, lambda: self._config)
-        self._stream = CloudStream(
-            self, self._responder, self._counters, self._registration, self._warn, on_crash
-        )
+        self._stream = CloudStream(self, self._responder, self._counters, self._registration, self.boundary)
         self._loading = threading.Lock()
         self._create_services()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -109,11 +107,16 @@ class EstimatorNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load organ and estimator."""
-        return self._transition(self._configure, super().on_configure, state)
+        return self._transition(self._configure, super().on_configure, state, self._clean_up)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to answer."""
-        return self._transition(self._activate, super().on_activate, state, ours_last=True)
+
+        def undo() -> None:
+            self._deactivate()
+            super(EstimatorNode, self).on_deactivate(state)
+
+        return self._transition(self._activate, super().on_activate, state, undo)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop answering; organ and estimator stay loaded."""
@@ -136,25 +139,35 @@ class EstimatorNode(LifecycleNode):
         ours: Callable[[], None],
         entities: Callable[[LifecycleState], TransitionCallbackReturn],
         state: LifecycleState,
-        ours_last: bool = False,
+        undo: Callable[[], None] | None = None,
     ) -> TransitionCallbackReturn:
-        """Run a transition; rclpy hides what its callbacks raise, so it is reported here."""
+        """Run a transition; rclpy hides what its callbacks raise, so it is reported here.
+
+        One that can be undone is a failure, after which the node is in the state it was in.
+        """
         self._failure = None
         try:
-            if ours_last:
-                result = entities(state)
+            # The publishers begin before the work and end after it.
+            if undo is None:
                 ours()
-                return result
+                return entities(state)
+            result = entities(state)
             ours()
-            return entities(state)
-        except SoftTissueError as error:
-            self._failure = error
-            self.get_logger().error(str(error))
-            return FAILURE
+            return result
         except Exception as error:
             self._failure = error
-            self.get_logger().error(traceback.format_exc())
+            said = self.boundary.sentence("transition", error)
+            if isinstance(error, SoftTissueError):
+                self.boundary.error(said)
+            return ERROR if undo is None else self._undone(undo)
+
+    def _undone(self, undo: Callable[[], None]) -> TransitionCallbackReturn:
+        try:
+            undo()
+        except Exception as error:
+            self.boundary.sentence("transition", error)
             return ERROR
+        return FAILURE
 
     def _configure(self) -> None:
         self._config = parameters.read_config(self)
@@ -162,7 +175,7 @@ class EstimatorNode(LifecycleNode):
 
     def _activate(self) -> None:
         self._responder.reset()
-        self.get_logger().info(f"answering clouds on {self._stream.open()}")
+        self.boundary.info(f"answering clouds on {self._stream.open()}")
 
     def _deactivate(self) -> None:
         self._stream.close(STOP_TIMEOUT_S)
@@ -177,7 +190,7 @@ class EstimatorNode(LifecycleNode):
         return self._stream.stop_threads(timeout_s)
 
     def _load(self, folder: str) -> Engine:
-        return load_engine(folder, self._config, self.get_logger().info)
+        return load_engine(folder, self._config, self.boundary.info)
 
     # Timers
 
@@ -192,6 +205,7 @@ class EstimatorNode(LifecycleNode):
                 self._responder.report,
                 self._responder.setup,
                 self._counters.counts,
+                self.boundary.faults,
             )
         )
 
@@ -204,9 +218,9 @@ class EstimatorNode(LifecycleNode):
         def run() -> None:
             try:
                 work()
+                future.set_result(None)
             except Exception as error:
-                self._on_crash(error)
-            future.set_result(None)
+                future.set_exception(error)  # raised again where the result is awaited
             # The executor looks at the awaiting callback again only when something wakes it.
             self.executor.wake()
 
@@ -231,8 +245,9 @@ class EstimatorNode(LifecycleNode):
                 else:
                     loaded(response, engine.organ)
         except SoftTissueError as error:
-            self.get_logger().error(str(error))
-            loaded(response, None, str(error), invalid=True)
+            said = self.boundary.sentence("load_organ", error)
+            self.boundary.error(said)
+            loaded(response, None, said, invalid=True)
 
     async def _on_warp_points(
         self, request: WarpPoints.Request, response: WarpPoints.Response
@@ -256,9 +271,5 @@ class EstimatorNode(LifecycleNode):
         try:
             self._config = parameters.changed_config(self._config, changes, self._responder.configured)
         except InvalidInputError as error:
-            return parameters.refused(error)
+            return parameters.refused(self.boundary.sentence("parameters", error))
         return parameters.accepted()
-
-    def _warn(self, sentence: str) -> None:
-        if self._throttle.due(sentence, time.monotonic()):
-            self.get_logger().warning(sentence)

@@ -1,18 +1,20 @@
 """Executable `node`: starts the managed node and ends it in order."""
 
 import sys
+import time
 
 from softtissue_estimator.ros.runtime import Spinner, StopRequest, leave, limit_threads
 
-# What the process waits for after a signal: callbacks and the estimate in work, s.
-PATIENCE_S = 2.0
+# After a signal, s: how long callbacks and the estimate in work are waited for, and when the process ends at last.
+PATIENCE_S = 1.5
+END_S = 2.5
 BAD_INPUT = 2
 CRASH = 1
 
 
 def main() -> None:
     """Run until SIGINT or SIGTERM (exit code 0); 2 after wrong files or parameters, 1 after a crash."""
-    stop = StopRequest()
+    stop = StopRequest(END_S)
     limit_threads()
     import traceback
 
@@ -24,10 +26,12 @@ def main() -> None:
     from softtissue_estimator.ros.inputs.transport import use_profile
 
     profile = use_profile()
+    if stop.event.is_set():  # the imports took a while
+        leave(stop.exit_code)
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy's own classes for bad arguments are private
-        sys.exit(_complain(f"arguments: {error}"))
+        leave(_complain(f"arguments: {error}"))
 
     def crash(error: BaseException) -> None:
         traceback.print_exception(error)
@@ -36,7 +40,7 @@ def main() -> None:
     try:
         node = EstimatorNode(crash)
     except SoftTissueError as error:
-        sys.exit(_complain(str(error)))
+        leave(_complain(str(error)))
     node.get_logger().info(profile)
 
     def start() -> None:
@@ -44,14 +48,15 @@ def main() -> None:
         if failure is not None:
             stop.stop(BAD_INPUT if isinstance(failure, SoftTissueError) else CRASH)
 
-    spinner = Spinner(node, crash, start)
+    spinner = Spinner(node, crash, start, node.boundary)
     stop.event.wait()
-    orderly = spinner.stop(PATIENCE_S)
-    orderly = node.close(PATIENCE_S) and orderly
-    if orderly:
-        node.destroy_node()
-        rclpy.try_shutdown()
-    leave(stop.exit_code, orderly)
+    end_s = time.monotonic() + PATIENCE_S
+    spinner.stop(PATIENCE_S)
+    node.close(max(0.0, end_s - time.monotonic()))
+    # Also while a thread still works, which does not touch it: without that its shared memory stays.
+    node.destroy_node()
+    rclpy.try_shutdown()
+    leave(stop.exit_code)
 
 
 def _complain(sentence: str) -> int:

@@ -25,6 +25,9 @@ LIVE = frozenset(
     }
 )
 
+# Given at the start by whoever starts the node, and by nobody on the ROS graph.
+FIXED = frozenset({"organ_root"})
+
 # A node answers a stream, a library one observation at a time.
 NODE_DEFAULTS = {"tracking": True}
 
@@ -34,9 +37,10 @@ def descriptor(field: "dataclasses.Field[Any]") -> ParameterDescriptor:
     unit, choices, limits = (field.metadata[key] for key in ("unit", "choices", "range"))
     text = field.metadata["description"]
     text += f" Unit: {unit}." if unit else ""
-    text += "" if field.name in LIVE else " Can only be changed while the node is unconfigured."
-    message = ParameterDescriptor(name=field.name, description=text)
-    message.type = Parameter.Type.from_parameter_value(field.default).value
+    if field.name not in LIVE | FIXED:
+        text += " Can only be changed while the node is unconfigured."
+    message = ParameterDescriptor(name=field.name, description=text, read_only=field.name in FIXED)
+    message.type = Parameter.Type.from_parameter_value(_as_ros(field.default)).value
     if choices is not None:
         message.additional_constraints = f"One of: {', '.join(choices)}"
     if limits is not None and isinstance(field.default, int):
@@ -59,7 +63,7 @@ def declare_parameters(node: Node) -> None:
     for field in dataclasses.fields(EstimatorConfig):
         try:
             default = NODE_DEFAULTS.get(field.name, field.default)
-            node.declare_parameter(field.name, default, descriptor(field))
+            node.declare_parameter(field.name, _as_ros(default), descriptor(field))
         except (InvalidParameterTypeException, InvalidParameterValueException) as error:
             # rclpy's sentences say what was expected and what was given.
             raise InvalidInputError(f"parameter {field.name}: {error}") from None
@@ -74,7 +78,15 @@ def read_config(node: Node) -> EstimatorConfig:
         If a value cannot be used.
     """
     names = [field.name for field in dataclasses.fields(EstimatorConfig)]
-    return EstimatorConfig(**{name: node.get_parameter(name).value for name in names})
+    return EstimatorConfig(**{name: _from_ros(node.get_parameter(name).value) for name in names})
+
+
+def _as_ros(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _from_ros(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
 
 
 def changed_config(config: EstimatorConfig, changes: list[Parameter], configured: bool) -> EstimatorConfig:
@@ -86,7 +98,7 @@ def changed_config(config: EstimatorConfig, changes: list[Parameter], configured
         If a value cannot be used, or cannot be changed because the node is configured.
     """
     known = {field.name for field in dataclasses.fields(EstimatorConfig)}
-    values = {change.name: change.value for change in changes if change.name in known}
+    values = {change.name: _from_ros(change.value) for change in changes if change.name in known}
     for name, value in values.items():
         if configured and name not in LIVE and value != getattr(config, name):
             hint = "call ~/load_organ, or " if name == "organ" else ""
@@ -102,6 +114,6 @@ def accepted() -> SetParametersResult:
     return SetParametersResult(successful=True)
 
 
-def refused(error: InvalidInputError) -> SetParametersResult:
+def refused(sentence: str) -> SetParametersResult:
     """Answer to a change of parameters that is not taken."""
-    return SetParametersResult(successful=False, reason=str(error))
+    return SetParametersResult(successful=False, reason=sentence)

@@ -1,5 +1,6 @@
 """Receiving, estimating and answering overlap: a thread for each, which works on its newest item, never on a queue."""
 
+import time
 from collections.abc import Callable
 
 from softtissue_estimator.ros.frames import Frame
@@ -17,11 +18,11 @@ class Pipeline:
     counters : FrameCounters
         Told what was dropped because something newer came.
     on_crash : callable
-        Takes what a half raised; its thread ends with it.
+        Takes what a half raised; its thread goes on with the next item.
     """
 
     def __init__(
-        self, responder: Responder, counters: FrameCounters, on_crash: Callable[[BaseException], None]
+        self, responder: Responder, counters: FrameCounters, on_crash: Callable[[BaseException], object]
     ) -> None:
         self._responder, self._counters = responder, counters
         self._answering: LatestWorker[Outcome] = LatestWorker(responder.deliver, on_crash, "answer")
@@ -38,9 +39,10 @@ class Pipeline:
         self._answering.take_back()
 
     def stop(self, timeout_s: float) -> bool:
-        """Stop after the items at work; return whether both threads ended within `timeout_s` each."""
+        """Stop after the items at work; return whether both threads ended within `timeout_s`."""
+        end_s = time.monotonic() + timeout_s
         ended = self._estimating.stop(timeout_s)
-        return self._answering.stop(timeout_s) and ended
+        return self._answering.stop(max(0.0, end_s - time.monotonic())) and ended
 
     def _estimate(self, frame: Frame) -> None:
         outcome = self._responder.estimate(frame)

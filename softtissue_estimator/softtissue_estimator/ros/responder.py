@@ -9,24 +9,24 @@ from typing import Any
 from sensor_msgs.msg import PointCloud2
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.errors import SoftTissueError
 from softtissue_estimator.ros.engine import Engine
 from softtissue_estimator.ros.frames import Answer, Frame, answer_frame, degradation_reasons
-from softtissue_estimator.ros.inputs.conversions import stamp_ns
 from softtissue_estimator.ros.inputs.counters import FrameCounters
 from softtissue_estimator.ros.inputs.registration import Registration
 from softtissue_estimator.ros.outputs.markers import delete_all
 from softtissue_estimator.ros.outputs.status import DEGRADED, INVALID, OK, Report, Setup, status_message
+from softtissue_estimator.support.sentences import one_sentence
 
 
 @dataclass(frozen=True)
 class Outputs:
-    """Publishers, and where sentences are logged."""
+    """Publishers, where sentences are logged, and what makes a sentence of an exception."""
 
     points: Any
     markers: Any
     status: Any
     warn: Callable[[str], None]
+    explain: Callable[[str, BaseException], str]
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,10 @@ class Responder:
             return None
         try:
             answer = answer_frame(frame, engine.organ, engine.estimator, config, self._registration)
-        except SoftTissueError as error:
-            return Outcome(frame, engine, config, time.monotonic(), refusal=str(error))
+        except Exception as error:  # whatever it is, the cloud's sender is told
+            return Outcome(
+                frame, engine, config, time.monotonic(), refusal=self._outputs.explain("estimate", error)
+            )
         return Outcome(frame, engine, config, time.monotonic(), answer)
 
     def deliver(self, outcome: Outcome) -> None:
@@ -158,8 +160,14 @@ class Responder:
                 return
             if outcome.answer is None:
                 self.refuse(outcome.frame.cloud, outcome.refusal)
-            else:
-                self._publish(outcome, outcome.answer)
+                return
+            try:
+                report = self._publish(outcome, outcome.answer)
+            except Exception as error:
+                self.refuse(outcome.frame.cloud, self._outputs.explain("answer", error))
+                return
+            self._counters.add(answered=1)
+            self._say(report)
 
     def supersede(self, outcome: Outcome) -> None:
         """Count an outcome that a newer one overtook before it was delivered."""
@@ -176,7 +184,7 @@ class Responder:
             return False
         return True
 
-    def _publish(self, outcome: Outcome, answer: Answer) -> None:
+    def _publish(self, outcome: Outcome, answer: Answer) -> Report:
         began = time.monotonic()
         engine, estimate = outcome.engine, answer.estimate
         self._answer = answer
@@ -187,7 +195,6 @@ class Responder:
         if self._outputs.markers.get_subscription_count() > 0:
             self._outputs.markers.publish(engine.markers.serialised(answer.positions, answer.stamp_ns))
         marked = time.monotonic()
-        self._counters.add(answered=1)
         total = marked - outcome.frame.received_s
         reasons = degradation_reasons(answer, total, outcome.config)
         stages = answer.stages | {
@@ -195,7 +202,7 @@ class Responder:
             "publish points": published - began,
             "publish markers": marked - published,
         }
-        report = Report(
+        return Report(
             DEGRADED if reasons else OK,
             "; ".join(reasons),
             answer.stamp_ns,
@@ -205,7 +212,6 @@ class Responder:
             stages,
             total,
         )
-        self._say(report)
 
     def refuse(self, cloud: PointCloud2, reason: str) -> None:
         """Report a cloud that cannot be used; the estimate before it no longer holds."""
@@ -214,7 +220,10 @@ class Responder:
             self._counters.add(refused=1)
             self._say(
                 Report(
-                    INVALID, reason, stamp_ns(cloud.header.stamp), left_out=int(cloud.width * cloud.height)
+                    INVALID,
+                    one_sentence(reason),
+                    left_out=int(cloud.width) * int(cloud.height),
+                    stamp=cloud.header.stamp,
                 )
             )
 
@@ -225,6 +234,9 @@ class Responder:
 
     def _say(self, report: Report) -> None:
         self._report = report
-        self._outputs.status.publish(status_message(report, self.setup, self._counters.counts))
+        try:
+            self._outputs.status.publish(status_message(report, self.setup, self._counters.counts))
+        except Exception as error:
+            self._outputs.explain("status", error)
         if report.reason:
             self._outputs.warn(report.reason)

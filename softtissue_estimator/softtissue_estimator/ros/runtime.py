@@ -1,10 +1,13 @@
 """How the executables start and end: signals, one thread that spins, exit codes."""
 
 import argparse
+import contextlib
 import os
+import select
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 from types import FrameType
 from typing import Any, NoReturn
@@ -22,18 +25,52 @@ def limit_threads() -> None:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
+class StopEvent:
+    """What `threading.Event` is, but a signal handler may set it: no lock, so that none is held when a handler runs."""
+
+    def __init__(self) -> None:
+        self._set = False
+        self._reader, self._writer = os.pipe()
+        os.set_blocking(self._writer, False)
+
+    def is_set(self) -> bool:
+        """Say whether it is set."""
+        return self._set
+
+    def set(self) -> None:
+        """Set it, and wake all who wait."""
+        if not self._set:
+            self._set = True
+            os.write(self._writer, b"!")  # which nobody reads: the pipe stays readable
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until it is set, `timeout` seconds at most; return whether it is."""
+        if not self._set:
+            poll = select.poll()
+            poll.register(self._reader, select.POLLIN)
+            poll.poll(None if timeout is None else max(0.0, 1e3 * timeout))
+        return self._set
+
+
 class StopRequest:
     """Set by SIGINT or SIGTERM, or by the program itself.
 
     Python's own handlers raise KeyboardInterrupt or kill, and rclpy's invalidate the context under a running
     callback; this one only takes note, so that everything ends in order.
+
+    Parameters
+    ----------
+    within_s : float, optional
+        The program ends after this time whatever it does: it may be importing, or wait for a thread that does not end.
     """
 
-    def __init__(self) -> None:
-        self.event = threading.Event()
+    def __init__(self, within_s: float | None = None) -> None:
+        self.event = StopEvent()
         self.exit_code = 0
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
+        if within_s is not None:
+            threading.Thread(target=self._end_at_last, args=(within_s,), name="end", daemon=True).start()
 
     def stop(self, exit_code: int = 0) -> None:
         """Ask the program to end; the first caller's exit code counts."""
@@ -43,6 +80,13 @@ class StopRequest:
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.event.set()
+
+    def _end_at_last(self, within_s: float) -> None:
+        from softtissue_estimator.support import leftovers  # noqa: F401  # now, not when the time is up
+
+        self.event.wait()
+        time.sleep(within_s)
+        leave(self.exit_code)
 
 
 class Spinner:
@@ -55,6 +99,8 @@ class Spinner:
         Runs first in that thread.
     on_error : callable
         Takes what a callback raised; the thread ends with it.
+    boundary : Boundary, optional
+        Inside it what a callback raises ends nothing.
     """
 
     def __init__(
@@ -62,12 +108,16 @@ class Spinner:
         node: Any,
         on_error: Callable[[BaseException], None],
         before: Callable[[], None] | None = None,
+        boundary: Any = None,
     ) -> None:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.task import Future
 
+        from softtissue_estimator.ros.bounded import BoundedExecutor
+
         self._node, self._before, self._on_error = node, before, on_error
-        self._executor = SingleThreadedExecutor()
+        self._boundary = boundary
+        self._executor = SingleThreadedExecutor() if boundary is None else BoundedExecutor(boundary)
         self._executor.add_node(node)
         self._done: Any = Future()
         self._thread = threading.Thread(target=self._run, name="spin", daemon=True)
@@ -87,17 +137,34 @@ class Spinner:
         try:
             if self._before is not None:
                 self._before()
-            self._executor.spin_until_future_complete(self._done)
+            self._spin()
         except Exception as error:  # reported by the owner, which ends the program
             self._on_error(error)
 
+    def _spin(self) -> None:
+        if self._boundary is not None:
+            self._boundary.alive()
+        while not self._done.done():
+            try:
+                self._executor.spin_until_future_complete(self._done)
+                return
+            except Exception as error:
+                if self._boundary is None or not self._boundary.middleware_goes_on(error):
+                    raise
 
-def leave(exit_code: int, orderly: bool) -> None:
-    """End the process; without waiting for threads that did not end when `orderly` is false."""
-    if orderly:
-        sys.exit(exit_code)
-    sys.stdout.flush()
-    sys.stderr.flush()
+
+def leave(exit_code: int) -> NoReturn:
+    """End the process at once; children and temporary files are removed, threads are not waited for.
+
+    What an interpreter does at its end takes long, aborts where a thread still computes, and gives signals back to the
+    operating system, which would end the process with another exit code.
+    """
+    from softtissue_estimator.support import leftovers
+
+    leftovers.clear()
+    with contextlib.suppress(OSError, ValueError):  # a closed terminal
+        sys.stdout.flush()
+        sys.stderr.flush()
     os._exit(exit_code)
 
 
@@ -130,4 +197,8 @@ def run_tool(
         print(f"error: {error}", file=sys.stderr)
         code = 2
     rclpy.try_shutdown()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(
+            number, signal.SIG_IGN
+        )  # the interpreter's end would give them back to the operating system
     sys.exit(code)

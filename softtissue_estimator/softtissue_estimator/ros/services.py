@@ -1,13 +1,20 @@
 """Answers to the node's services."""
 
+from array import array
+
 import numpy as np
+from numpy.typing import NDArray
 from softtissue_msgs.srv import LoadOrgan, WarpPoints
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.ros.frames import Answer
-from softtissue_estimator.ros.inputs.conversions import doubles, time_message
+from softtissue_estimator.ros.inputs.conversions import FARTHEST_M, doubles, time_message
 from softtissue_estimator.ros.inputs.registration import Registration, transform_points
+from softtissue_estimator.support.sentences import one_sentence
+
+MOST_POINTS = 1_000_000
+"""In one call of `~/warp_points`: a second or so, and 0.2 GB."""
 
 
 def loaded(
@@ -22,7 +29,27 @@ def loaded(
     response.name = organ.name
     response.structures = len(organ.structures)
     response.vertices = len(organ.query_points)
-    response.message = f"loaded {organ.name!r} with {len(organ.structures)} structures"
+    response.message = one_sentence(f"loaded {organ.name!r} with {len(organ.structures)} structures")
+
+
+def _checked(numbers: "array[float]") -> NDArray[np.float64]:
+    """Return the points of a request, (n, 3) m."""
+    points = np.asarray(numbers, dtype=np.float64)
+    if points.size == 0 or points.size % 3:
+        raise InvalidInputError(
+            f"points: expected 3 finite numbers for each point, got {points.size} numbers"
+        )
+    points = points.reshape(-1, 3)
+    if len(points) > MOST_POINTS:
+        raise InvalidInputError(f"points: expected at most {MOST_POINTS} in one call, got {len(points)}")
+    if not np.isfinite(points).all():
+        raise InvalidInputError("points: expected finite numbers, got some that are not")
+    farthest = float(np.abs(points).max())
+    if farthest > FARTHEST_M:
+        raise InvalidInputError(
+            f"points: expected coordinates of at most {FARTHEST_M:g} m, got {farthest:.4g} m"
+        )
+    return points
 
 
 def answer_warp(
@@ -43,20 +70,19 @@ def answer_warp(
             "expected an estimate, got none: no cloud was answered yet, or the last one was refused"
         )
         return
-    points = np.asarray(request.points, dtype=np.float64)
-    if points.size == 0 or points.size % 3 or not np.isfinite(points).all():
-        response.result = codes.INVALID_POINTS
-        response.message = f"points: expected 3 finite numbers for each point, got {points.size} numbers"
-        if points.size and points.size % 3 == 0:
-            response.message = "points: expected finite numbers, got some that are not"
+    try:
+        points = _checked(request.points)
+    except InvalidInputError as error:
+        response.result, response.message = codes.INVALID_POINTS, str(error)
         return
     frame = request.header.frame_id or answer.organ.frame
     try:
         motion = registration.organ_from_cloud(frame, answer.organ.frame, answer.stamp_ns)
     except InvalidInputError as error:
-        response.result, response.message = codes.WRONG_FRAME, str(error).replace("cloud", "points")
+        said = one_sentence(str(error).replace("cloud", "points"))
+        response.result, response.message = codes.WRONG_FRAME, said
         return
-    reference = transform_points(motion, points.reshape(-1, 3))
+    reference = transform_points(motion, points)
     displacement, sigma = answer.estimate.displacement_at(reference)
     response.header.frame_id = answer.organ.frame
     response.header.stamp = time_message(answer.stamp_ns)

@@ -9,6 +9,7 @@ import json
 import logging
 import os
 import tempfile
+import time
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -18,11 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softtissue_estimator.support.leftovers import temporary
+
 Arrays = dict[str, NDArray[Any]]
 
 _log = logging.getLogger(__name__)
 _MOST_FILES = 64  # in the folder; the oldest go
 _KEY_NAME = "cache_key"
+_STALE_S = 3600.0  # nobody writes that long
 
 
 def cache_folder() -> Path:
@@ -78,18 +82,16 @@ def _read(path: Path, key: str) -> Arrays | None:
 
 
 def _write(path: Path, key: str, arrays: Arrays) -> None:
-    temporary = ""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # Written beside its place and renamed, so that nobody ever reads half a file.
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".part")
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, allow_pickle=False, **{_KEY_NAME: np.array(key)}, **arrays)
-        os.replace(temporary, path)
+        handle, partial = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".part")
+        with temporary(Path(partial)):
+            with os.fdopen(handle, "wb") as file:
+                np.savez(file, allow_pickle=False, **{_KEY_NAME: np.array(key)}, **arrays)
+            os.replace(partial, path)
         _prune(path.parent)
     except OSError as error:
-        if temporary:
-            Path(temporary).unlink(missing_ok=True)
         _log.warning(
             "results cannot be kept in %s (%s); they are computed again next time", path.parent, error
         )
@@ -100,3 +102,6 @@ def _prune(folder: Path) -> None:
     files = sorted(folder.glob("*.npz"), key=lambda file: file.stat().st_mtime)
     for old in files[:-_MOST_FILES]:
         old.unlink(missing_ok=True)
+    for part in folder.glob("*.part"):  # of programs that were killed while they wrote
+        if time.time() - part.stat().st_mtime > _STALE_S:
+            part.unlink(missing_ok=True)

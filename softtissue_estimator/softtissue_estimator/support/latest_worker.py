@@ -18,7 +18,7 @@ class LatestWorker(Generic[ItemT]):
     ----------
     work : callable
     on_crash : callable
-        Takes what `work` raised; the thread ends with it.
+        Takes what `work` raised; the thread goes on with the next item.
     name : str
         Of the thread.
     background : bool
@@ -28,7 +28,7 @@ class LatestWorker(Generic[ItemT]):
     def __init__(
         self,
         work: Callable[[ItemT], None],
-        on_crash: Callable[[BaseException], None],
+        on_crash: Callable[[BaseException], object],
         name: str = "estimate",
         background: bool = False,
     ) -> None:
@@ -77,4 +77,3 @@ class LatestWorker(Generic[ItemT]):
                     self._work(item)
                 except Exception as error:  # the thread's owner reports it
                     self._on_crash(error)
-                    return

@@ -89,14 +89,34 @@ def test_mesher_needs_no_pyvista(monkeypatch, tmp_path):
     assert len(tetrahedralise(ellipsoid(subdivisions=2), silent).tets) > 500
 
 
-def test_crash_of_the_mesher_is_a_sentence(monkeypatch):
-    monkeypatch.setattr(volume_mesh, "_PROGRAM", "import os; os.abort()")
+@pytest.fixture
+def mesher(tmp_path, monkeypatch):
+    """Put another program in the mesher's place."""
+
+    def replace(text):
+        (tmp_path / "mesher.py").write_text(text)
+        monkeypatch.setattr(volume_mesh, "_WORKER", tmp_path / "mesher.py")
+
+    return replace
+
+
+def test_crash_of_the_mesher_is_a_sentence(mesher):
+    mesher("import os; os.abort()")
     with pytest.raises(MeshError, match="expected tetrahedra, got exit code -6 from fTetWild"):
         tetrahedralise(ellipsoid(subdivisions=2), silent)
 
 
-def test_mesher_without_end_is_a_sentence(monkeypatch):
-    monkeypatch.setattr(volume_mesh, "_PROGRAM", "import time; time.sleep(60)")
+@pytest.mark.parametrize("content", ["", "no archive", None])
+def test_mesher_without_a_result_is_a_sentence(mesher, content):
+    mesher(
+        "" if content is None else f"import pathlib, sys; pathlib.Path(sys.argv[2]).write_text({content!r})"
+    )
+    with pytest.raises(MeshError, match="expected tetrahedra, got"):
+        tetrahedralise(ellipsoid(subdivisions=2), silent)
+
+
+def test_mesher_without_end_is_a_sentence(mesher, monkeypatch):
+    mesher("import time; time.sleep(60)")
     monkeypatch.setattr(volume_mesh, "_TIMEOUT_S", 0.2)
     with pytest.raises(MeshError, match="got none for a surface of 320 triangles"):
         tetrahedralise(ellipsoid(subdivisions=2), silent)

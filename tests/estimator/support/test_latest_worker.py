@@ -52,7 +52,7 @@ def test_worker_in_the_background_leaves_the_processor_to_others():
     assert os.getpriority(os.PRIO_PROCESS, threading.get_native_id()) == here
 
 
-def test_worker_reports_a_crash():
+def test_worker_reports_a_crash_and_goes_on():
     crashes, reported = [], threading.Event()
 
     def crash(error):
@@ -63,4 +63,8 @@ def test_worker_reports_a_crash():
     worker.put(0)
     assert reported.wait(10.0)
     assert isinstance(crashes[0], ZeroDivisionError)
+    reported.clear()
+    worker.put(0)
+    assert reported.wait(10.0)
+    assert len(crashes) == 2
     assert worker.stop(10.0)

@@ -155,6 +155,11 @@ def fields(*names, datatype=PointField.FLOAT32, step=4):
         (broken(height=2, row_step=128), "expected 256 bytes of data .row_step 128 x height 2., got 64"),
         (broken(height=0, width=3), "at least one point, got width 3 x height 0"),
         (broken(height=2, width=0), "at least one point, got width 0 x height 2"),
+        (broken(point_step=2**32 - 1), "point_step of at most 65536 bytes, got 4294967295"),
+        (
+            broken(fields=[*fields("x", "y"), PointField(name="z", offset=8, datatype=7, count=3)]),
+            "field z, got 3",
+        ),
         (broken(fields=fields("x", "y", "z", "ref_x"), point_step=16), "ref_x ref_y ref_z, got x y z ref_x"),
     ],
 )
@@ -212,11 +217,22 @@ def test_transform_turns_the_right_way():
         (transform(1.0, 1.0, 0.0, 0.0), "length 1, got 1.414"),
         (transform(float("nan"), 0.0, 0.0, 1.0), "finite"),
         (transform(0.0, 0.0, 0.0, 1.0, (float("inf"), 0.0, 0.0)), "finite"),
+        (transform(0.0, 0.0, 1e308, 1e308), "length 1, got 1.41"),
+        (transform(0.0, 0.0, 0.0, 1.0, (0.0, -1000.5, 0.0)), "at most 1000 m, got 1000"),
     ],
 )
 def test_unusable_transform_is_refused(message, words):
     with pytest.raises(InvalidInputError, match=words):
         conversions.read_transform(message)
+
+
+@pytest.mark.parametrize(("sec", "nanosec"), [(-1, 0), (0, 10**9), (2**31 - 1, 2**32 - 1)])
+def test_stamp_that_an_answer_could_not_bear_is_refused(sec, nanosec):
+    message = broken(header=Header(stamp=Time(sec=sec, nanosec=nanosec)))
+    with pytest.raises(InvalidInputError, match=f"less than 1000000000 ns, got {sec} s {nanosec} ns"):
+        conversions.carries_reference(message)
+    latest = broken(header=Header(stamp=Time(sec=2**31 - 1, nanosec=10**9 - 1)))
+    assert not conversions.carries_reference(latest)
 
 
 def test_stamp_of_a_serialised_message():

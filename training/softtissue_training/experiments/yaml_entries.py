@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.support.files import expanded, is_file
+from softtissue_estimator.support.yaml_file import kind_of, read_yaml, shown
 
 
 def read_entries(path: Path, known: tuple[str, ...], *, required: bool = True) -> Entries:
@@ -27,18 +27,15 @@ def read_entries(path: Path, known: tuple[str, ...], *, required: bool = True) -
     InvalidInputError
         If the file is missing, not YAML, or has other keys than those known.
     """
-    if not required and not path.is_file():
+    if not required and not is_file(path):
         return Entries(path, {}, "", known)
-    if not path.is_file():
+    if not is_file(path):
         raise InvalidInputError(f"case {path.parent}: expected a folder with {path.name}, found none")
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InvalidInputError(f"{path}: expected YAML, got {' '.join(str(error).split())}") from error
+    content = read_yaml(path, InvalidInputError)
     if content is None and not required:
         content = {}
     if not isinstance(content, Mapping):
-        raise InvalidInputError(f"{path}: expected keys {', '.join(known)}, got {content!r}")
+        raise InvalidInputError(f"{path}: expected keys {', '.join(known)}, got {kind_of(content)}")
     return Entries(path, content, "", known)
 
 
@@ -81,7 +78,7 @@ class Entries:
         """Return a text."""
         given = self.value(key)
         if given is not None and (not isinstance(given, str) or not given.strip()):
-            raise InvalidInputError(f"{self.where(key)}: expected text, got {given!r}")
+            raise InvalidInputError(f"{self.where(key)}: expected text, got {shown(given)}")
         return given
 
     def choice(self, key: str, choices: tuple[str, ...], default: str | None = None) -> str:
@@ -90,7 +87,7 @@ class Entries:
         if given is None and default is not None:
             return default
         if given not in choices:
-            raise InvalidInputError(f"{self.where(key)}: expected {' or '.join(choices)}, got {given!r}")
+            raise InvalidInputError(f"{self.where(key)}: expected {' or '.join(choices)}, got {shown(given)}")
         return str(given)
 
     def number(self, key: str, low: float, high: float) -> float | None:
@@ -100,7 +97,7 @@ class Entries:
             return None
         if not _is_number(given) or not low <= given <= high:
             raise InvalidInputError(
-                f"{self.where(key)}: expected a number from {low:g} to {high:g}, got {given!r}"
+                f"{self.where(key)}: expected a number from {low:g} to {high:g}, got {shown(given)}"
             )
         return float(given)
 
@@ -110,7 +107,7 @@ class Entries:
         if given is None:
             return None
         if not isinstance(given, list) or len(given) != 3 or not all(_is_number(x) for x in given):
-            raise InvalidInputError(f"{self.where(key)}: expected 3 numbers, got {given!r}")
+            raise InvalidInputError(f"{self.where(key)}: expected 3 numbers, got {shown(given)}")
         x, y, z = (float(value) for value in given)
         return x, y, z
 
@@ -121,7 +118,7 @@ class Entries:
             return []
         if not isinstance(given, list) or not all(isinstance(item, Mapping) for item in given):
             raise InvalidInputError(
-                f"{self.where(key)}: expected a list of mappings with {', '.join(known)}, got {given!r}"
+                f"{self.where(key)}: expected a list of mappings with {', '.join(known)}, got {shown(given)}"
             )
         return [Entries(self.path, item, f"{key}[{i}]", known) for i, item in enumerate(given)]
 
@@ -130,8 +127,8 @@ class Entries:
         name = self.text(key)
         if name is None:
             return None
-        file = self.path.parent / Path(name).expanduser()
-        if not file.is_file():
+        file = self.path.parent / expanded(name)
+        if not is_file(file):
             raise InvalidInputError(f"{self.where(key)}: expected a file, found none at {file}")
         return file
 

@@ -134,8 +134,6 @@ class ElasticTracker:
 
     def _on_crash(self, error: BaseException) -> None:
         _log.error("the elastic posterior was not improved between frames: %s", error)
-        with self._lock:
-            self._worker = None  # the next answer starts another one
         self.forget()
 
 

@@ -8,7 +8,6 @@ import os
 import re
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.organ.mesh_files.cells_worker import UNREADABLE
 from softtissue_estimator.organ.mesh_files.plain_text import without_mark
+from softtissue_estimator.support.leftovers import run_contained, temporary_folder
 
 _TIMEOUT_S = 300.0
 _DECLARED_ENCODING = re.compile(rb"^(\s*<\?xml[^>]*encoding=[\"'])[^\"']*([\"'])")
@@ -41,10 +41,9 @@ def read_isolated(path: Path, expected: str) -> dict[str, NDArray[Any]]:
     MeshError
         The file cannot be read.
     """
-    with tempfile.TemporaryDirectory(prefix="softtissue_") as folder:
-        target = Path(folder) / "cells.npz"
-        source = _plain(path, Path(folder))
-        command = [sys.executable, "-P", str(_WORKER), str(source), path.suffix.lower(), str(target)]
+    with temporary_folder() as folder:
+        target = folder / "cells.npz"
+        program = [str(_WORKER), str(_plain(path, folder)), path.suffix.lower(), str(target)]
         # Every thread of a linear algebra library would take of the bounded memory.
         environment = {
             **os.environ,
@@ -53,15 +52,7 @@ def read_isolated(path: Path, expected: str) -> dict[str, NDArray[Any]]:
             "OPENBLAS_NUM_THREADS": "1",
         }
         try:
-            done = subprocess.run(
-                command,
-                env=environment,
-                capture_output=True,
-                text=True,
-                errors="replace",
-                timeout=_TIMEOUT_S,
-                check=False,
-            )
+            done = run_contained(program, folder, environment, _TIMEOUT_S)
         except subprocess.TimeoutExpired as error:
             raise MeshError(
                 f"expected {expected}, got a file that is not read within {_TIMEOUT_S:.0f} s"

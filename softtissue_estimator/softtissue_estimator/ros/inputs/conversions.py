@@ -3,6 +3,7 @@
 With `correspondences`, `markers`, `services` and `status`, the only code that touches the fields of messages.
 """
 
+import math
 from array import array
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +30,11 @@ _TYPE_NAME = {
     PointField.FLOAT32: "float32",
     PointField.FLOAT64: "float64",
 }
+_NS_PER_S = 1_000_000_000
+_LARGEST_STEP = 65_536  # bytes of one point: far more than any camera's, and less than numpy's limit
+FARTHEST_M = 1000.0
+"""Largest coordinate, m, of what is taken for a place in a room: squares and sums of such stay exact enough."""
+
 _POSITION = ("x", "y", "z")
 _REFERENCE = ("ref_x", "ref_y", "ref_z")
 
@@ -57,12 +63,27 @@ class Cloud:
 
 def stamp_ns(stamp: Time) -> int:
     """Return a stamp in nanoseconds."""
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    return int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
+
+
+def check_stamp(stamp: Time, what: str) -> None:
+    """Refuse a stamp that an answer could not bear as it is.
+
+    Raises
+    ------
+    InvalidInputError
+        If its seconds are negative or its nanoseconds make a second or more.
+    """
+    if stamp.sec < 0 or stamp.nanosec >= _NS_PER_S:
+        raise InvalidInputError(
+            f"{what}: expected a stamp of at least 0 s and less than {_NS_PER_S} ns, got {stamp.sec} s"
+            f" {stamp.nanosec} ns"
+        )
 
 
 def time_message(nanoseconds: int) -> Time:
     """Return nanoseconds as a stamp."""
-    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+    return Time(sec=nanoseconds // _NS_PER_S, nanosec=nanoseconds % _NS_PER_S)
 
 
 def doubles(values: FloatArray) -> "array[float]":
@@ -83,8 +104,9 @@ def carries_reference(message: PointCloud2) -> bool:
     Raises
     ------
     InvalidInputError
-        If the cloud is empty, lacks a field or its sizes contradict each other.
+        If its stamp is out of range, the cloud is empty, lacks a field or its sizes contradict each other.
     """
+    check_stamp(message.header.stamp, "cloud")
     carries = not set(_REFERENCE).isdisjoint(field_names(message))
     _table(message, _POSITION + (_REFERENCE if carries else ()))
     return carries
@@ -168,6 +190,10 @@ def _record(message: PointCloud2, names: tuple[str, ...]) -> np.dtype[Any]:
     if missing:
         present = " ".join(field_names(message)) or "none"
         raise InvalidInputError(f"cloud: expected fields {' '.join(names)}, got {present}")
+    if message.point_step > _LARGEST_STEP:
+        raise InvalidInputError(
+            f"cloud: expected point_step of at most {_LARGEST_STEP} bytes, got {message.point_step}"
+        )
     order = ">" if message.is_bigendian else "<"
     formats, offsets = [], []
     for name in names:
@@ -175,6 +201,8 @@ def _record(message: PointCloud2, names: tuple[str, ...]) -> np.dtype[Any]:
         if field.datatype not in _NUMPY_TYPE:
             got = _TYPE_NAME.get(field.datatype, f"type {field.datatype}")
             raise InvalidInputError(f"cloud: expected field {name} to be float32 or float64, got {got}")
+        if field.count > 1:  # 0 is what some drivers leave there
+            raise InvalidInputError(f"cloud: expected one number in field {name}, got {field.count}")
         formats.append(order + _NUMPY_TYPE[field.datatype])
         offsets.append(int(field.offset))
         size = np.dtype(formats[-1]).itemsize
@@ -196,14 +224,18 @@ def read_transform(message: TransformStamped) -> FloatArray:
     Raises
     ------
     InvalidInputError
-        If a number is not finite or the quaternion is not of unit length.
+        If a number is not finite, the translation is further than `FARTHEST_M` or the quaternion not of unit length.
     """
     rotation, translation = message.transform.rotation, message.transform.translation
     quaternion = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
     shift = np.array([translation.x, translation.y, translation.z])
     if not (np.isfinite(quaternion).all() and np.isfinite(shift).all()):
         raise InvalidInputError("registration: expected finite numbers, got some that are not")
-    length = float(np.linalg.norm(quaternion))
+    if np.abs(shift).max() > FARTHEST_M:
+        raise InvalidInputError(
+            f"registration: expected a translation of at most {FARTHEST_M:g} m, got {np.abs(shift).max():.4g} m"
+        )
+    length = math.hypot(*quaternion)  # without overflow
     if abs(length - 1.0) > 1e-3:
         raise InvalidInputError(f"registration: expected a quaternion of length 1, got {length:.4g}")
     matrix = np.eye(4)

@@ -13,7 +13,12 @@ from sensor_msgs.msg import PointCloud2
 from softtissue_msgs.msg import Correspondences
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.ros.inputs.conversions import carries_reference, field_names, stamp_ns
+from softtissue_estimator.ros.inputs.conversions import (
+    carries_reference,
+    check_stamp,
+    field_names,
+    stamp_ns,
+)
 from softtissue_estimator.ros.inputs.counters import FrameCounters, LossCounter
 from softtissue_estimator.ros.inputs.pairing import Outcome, StampMatcher, Waiting
 from softtissue_estimator.ros.inputs.registration import Registration
@@ -53,6 +58,8 @@ class Intake:
         Takes a cloud that cannot be completed, and why.
     on_warning : callable
         Takes a sentence about something that is not a cloud.
+    explain : callable
+        Takes what was being done and an exception, and returns a sentence.
     """
 
     def __init__(
@@ -63,9 +70,11 @@ class Intake:
         on_frame: Callable[[Received], None],
         on_refusal: Callable[[PointCloud2, str], None],
         on_warning: Callable[[str], None],
+        explain: Callable[[str, BaseException], str],
     ) -> None:
         self._node, self._counters, self._registration = node, counters, registration
         self._on_frame, self._on_refusal, self._on_warning = on_frame, on_refusal, on_warning
+        self._explain = explain
         self._matcher: StampMatcher[PointCloud2, Correspondences] = StampMatcher()
         self.last_cloud_s: float | None = None
         events = SubscriptionEventCallbacks(incompatible_qos=self._warn_incompatible)
@@ -128,8 +137,8 @@ class Intake:
         self._counters.add(received=1 + lost, dropped=lost)
         try:
             complete = carries_reference(message)
-        except InvalidInputError as error:
-            self._on_refusal(message, str(error))
+        except Exception as error:  # whatever it is, the cloud is counted and its sender told
+            self._on_refusal(message, self._explain("cloud", error))
             return
         if complete:
             self._on_frame(Received(message, None, now))
@@ -150,6 +159,11 @@ class Intake:
         return lost
 
     def _take_correspondences(self, message: Correspondences) -> None:
+        try:
+            check_stamp(message.header.stamp, "correspondences")
+        except InvalidInputError as error:
+            self._on_warning(str(error))
+            return
         self._settle(self._matcher.add_pairs(stamp_ns(message.header.stamp), message))
 
     def _take_registration(self, message: TransformStamped) -> None:

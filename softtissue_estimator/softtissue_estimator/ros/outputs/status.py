@@ -14,6 +14,8 @@ OK = int(EstimatorStatus.OK)
 DEGRADED = int(EstimatorStatus.DEGRADED)
 INVALID = int(EstimatorStatus.INVALID)
 
+_LARGEST_COUNT = 2**32 - 1
+
 _DIAGNOSTIC_LEVEL = {
     OK: DiagnosticStatus.OK,
     DEGRADED: DiagnosticStatus.WARN,
@@ -33,6 +35,8 @@ class Report:
         One sentence; empty when all is well.
     stamp_ns : int
         Stamp of the cloud, nanoseconds; zero when it speaks of no cloud.
+    stamp : Time or None
+        The stamp as the cloud has it, where it may be one that nanoseconds do not give back.
     visible_fraction : float
         Visible share of the organ's surface area, 0 to 1; NaN when unknown.
     used, left_out : int
@@ -51,6 +55,7 @@ class Report:
     left_out: int = 0
     stages: dict[str, float] = field(default_factory=dict)
     total_s: float = math.nan
+    stamp: Time | None = None
 
 
 @dataclass(frozen=True)
@@ -66,13 +71,14 @@ class Setup:
 def status_message(report: Report, setup: Setup, counts: Counts) -> EstimatorStatus:
     """Build the message of `~/status`."""
     message = EstimatorStatus()
-    message.header.stamp = time_message(report.stamp_ns)
+    message.header.stamp = time_message(report.stamp_ns) if report.stamp is None else report.stamp
     message.header.frame_id = setup.frame
     message.level = report.level
     message.reason = report.reason
     message.estimator, message.device, message.organ = setup.estimator, setup.device, setup.organ
     message.visible_fraction = report.visible_fraction
-    message.points_used, message.points_rejected = report.used, report.left_out
+    message.points_used = min(report.used, _LARGEST_COUNT)
+    message.points_rejected = min(report.left_out, _LARGEST_COUNT)
     message.frames_received = counts.received
     message.frames_answered = counts.answered
     message.frames_dropped = counts.dropped
@@ -84,9 +90,12 @@ def status_message(report: Report, setup: Setup, counts: Counts) -> EstimatorSta
 
 
 def diagnostics_message(
-    name: str, now: Time, state: str, report: Report, setup: Setup, counts: Counts
+    name: str, now: Time, state: str, report: Report, setup: Setup, counts: Counts, faults: int = 0
 ) -> DiagnosticArray:
-    """Build the message of `/diagnostics` about the node called `name`, in the lifecycle state `state`."""
+    """Build the message of `/diagnostics` about the node called `name`, in the lifecycle state `state`.
+
+    `faults` counts the errors of the program itself since it began.
+    """
     status = DiagnosticStatus(name=f"{name}: estimate", hardware_id=setup.device)
     status.level = _DIAGNOSTIC_LEVEL[report.level]
     status.message = report.reason or "ok"
@@ -99,6 +108,7 @@ def diagnostics_message(
         "frames answered": counts.answered,
         "frames dropped": counts.dropped,
         "frames refused": counts.refused,
+        "internal errors": faults,
         "visible fraction": f"{report.visible_fraction:.3f}",
         "points used": report.used,
         "points rejected": report.left_out,

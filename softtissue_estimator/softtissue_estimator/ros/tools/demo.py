@@ -95,6 +95,8 @@ def run_estimator(estimator: str, options: Options, snapshot_ns: int) -> dict[st
         f"estimator:={estimator}",
         "-p",
         f"organ:={options.organ}",
+        "-p",
+        "organ_root:=['/']",  # whoever calls this names the organ, and may keep its meshes anywhere
     ]
     node += [part for parameter in options.parameters for part in ("-p", parameter)]
     score = [str(executable("score")), "--report", str(report), "--organ", str(options.organ)]

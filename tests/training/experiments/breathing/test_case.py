@@ -90,7 +90,10 @@ def test_front_is_where_the_coordinate_system_says(tmp_path, changes, front):
             {"structures_after": [{"name": "vein"}]},
             r"structures_after\[0\].mesh: expected the name of a file",
         ),
-        ({"structures_after": 2 * [{"name": "vein", "mesh": "vein_after.ply"}]}, "each structure once"),
+        (
+            {"structures_after": [{"name": "vein", "mesh": "vein_after.ply"} for _ in range(2)]},
+            "each structure once",
+        ),
         ({"surface": "after.ply"}, "surface: unknown key, expected one of name, unit"),
         ({"truth": "organ.yaml"}, "expected an NPZ file"),
     ],

@@ -26,6 +26,7 @@ from softtissue_estimator.organ.organ_file import FILE_NAME, read_organ_file
 from softtissue_estimator.organ.signed_distance import signed_distance
 from softtissue_estimator.organ.surface_patch import patch
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
+from softtissue_estimator.support.yaml_file import read_yaml
 from softtissue_estimator.view.rendering import vertex_normals
 from softtissue_training.experiments.coherent_point_drift import spread_points
 from softtissue_training.experiments.fcsv import write_fcsv
@@ -238,7 +239,7 @@ def _copy_organ(folder: Path, out: Path) -> None:
             return str((folder / value).resolve())
         return value
 
-    content = yaml.safe_load((folder / FILE_NAME).read_text(encoding="utf-8"))
+    content = read_yaml(folder / FILE_NAME, InvalidInputError)
     (out / FILE_NAME).write_text(yaml.safe_dump(complete(content), sort_keys=False), encoding="utf-8")
 
 

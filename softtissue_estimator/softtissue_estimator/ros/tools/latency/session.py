@@ -13,6 +13,7 @@ from typing import Any
 
 from softtissue_estimator.errors import SoftTissueError
 from softtissue_estimator.organ.organ import Organ, load_organ
+from softtissue_estimator.ros.runtime import StopEvent
 from softtissue_estimator.ros.tools.latency.control import Remote
 from softtissue_estimator.ros.tools.latency.probe import Probe
 from softtissue_estimator.ros.tools.latency.statistics import Run, summarise
@@ -67,7 +68,7 @@ class Session:
         organ: Organ,
         scene: Scene,
         folder: Path,
-        stop: threading.Event,
+        stop: StopEvent,
     ) -> None:
         from softtissue_msgs.srv import Reset
 
@@ -81,6 +82,7 @@ class Session:
     ) -> Iterator[tuple["subprocess.Popen[str]", dict[str, Any]]]:
         """Run a node; yields its process and `device` and `start_to_answer_s`, once it has answered a first cloud."""
         command = [str(executable("node")), "--ros-args", "-r", f"__ns:={NAMESPACE}", "-p", f"organ:={organ}"]
+        command += ["-p", "organ_root:=['/']"]  # whoever calls this names the organ
         for name, value in parameters.items():
             command += ["-p", f"{name}:={value}"]
         self._ask_sender("prepare", points=START_POINTS, rate_hz=START_RATE_HZ)
@@ -218,9 +220,7 @@ class Session:
 
 
 @contextmanager
-def open_session(
-    ros_node: Any, path: Path, scene: Scene, log: Path, stop: threading.Event
-) -> Iterator[Session]:
+def open_session(ros_node: Any, path: Path, scene: Scene, log: Path, stop: StopEvent) -> Iterator[Session]:
     """Start sender and receiver for the organ in a folder; the node's log goes to another, `log`."""
     organ = load_organ(path)
     with ExitStack() as stack:

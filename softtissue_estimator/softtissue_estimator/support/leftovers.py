@@ -1,0 +1,154 @@
+"""Temporary files and child processes, which are gone however the program ends.
+
+What is at work is known here, so that a program that cannot wait for its threads can still clean up (`clear`). What a
+killed program leaves is removed by the next one.
+"""
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import IO
+
+from softtissue_estimator.errors import SoftTissueError
+
+_PREFIX = "softtissue_"
+_STALE_S = 3600.0  # older, and its process gone: nobody needs it (processes of other containers are not seen)
+_MOST_PRINTED = 65_536  # bytes that are kept of what a program prints
+_CONTAINED = Path(__file__).with_name("contained.py")
+
+_lock = threading.RLock()
+_paths: set[Path] = set()
+_children: set["subprocess.Popen[bytes]"] = set()
+_ending = False
+
+
+@contextlib.contextmanager
+def temporary(path: Path) -> Iterator[Path]:
+    """Remove a file or folder at the end of the block, or of the program."""
+    with _lock:
+        _paths.add(path)
+    try:
+        yield path
+    finally:
+        _remove(path)
+        with _lock:
+            _paths.discard(path)
+
+
+@contextlib.contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Make a folder that is gone at the end of the block, or of the program."""
+    _remove_stale(Path(tempfile.gettempdir()))
+    with temporary(Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}_"))) as folder:
+        yield folder
+
+
+def run_contained(
+    program: Sequence[str], folder: Path, environment: Mapping[str, str], timeout_s: float
+) -> "subprocess.CompletedProcess[str]":
+    """Run a Python program in a process that ends with this one, and after `timeout_s` at the latest.
+
+    Parameters
+    ----------
+    program : sequence of str
+        Script and its arguments.
+    folder : Path
+        Where it runs.
+    environment : mapping
+    timeout_s : float
+        s.
+
+    Raises
+    ------
+    subprocess.TimeoutExpired
+        If it did not end in time.
+    SoftTissueError
+        If this program is ending.
+    """
+    command = [sys.executable, "-P", str(_CONTAINED), str(os.getpid()), *program]
+    # Files, not pipes: what the program has started may keep those open after its end.
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        with _lock:
+            if _ending:
+                raise SoftTissueError("expected a program that goes on, got one that ends")
+            child = subprocess.Popen(
+                command,
+                cwd=folder,
+                env=dict(environment),
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=err,
+                start_new_session=True,  # a Ctrl-C is this program's business
+            )
+            _children.add(child)
+        try:
+            child.wait(timeout_s)
+        finally:
+            _kill(child)
+            child.wait()
+            with _lock:
+                _children.discard(child)
+        return subprocess.CompletedProcess(command, child.returncode, _end_of(out), _end_of(err))
+
+
+def _end_of(file: IO[bytes]) -> str:
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - _MOST_PRINTED))
+    return file.read().decode(errors="replace")
+
+
+def clear() -> None:
+    """End all children and remove all temporary files, at the end of the program: none begins any more."""
+    global _ending
+    with _lock:
+        _ending = True
+        for child in _children:
+            _kill(child)
+        for path in _paths:
+            _remove(path)
+
+
+def _kill(child: "subprocess.Popen[bytes]") -> None:
+    # With what it may have started, also if it has ended itself: it leads a group of its own.
+    with contextlib.suppress(OSError):
+        os.killpg(child.pid, signal.SIGKILL)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+
+
+def _remove_stale(parent: Path) -> None:
+    """Remove the folders of programs that were killed."""
+    with contextlib.suppress(OSError):
+        for folder in parent.glob(f"{_PREFIX}[0-9]*_*"):
+            number = folder.name.removeprefix(_PREFIX).partition("_")[0]
+            if number.isdigit() and not _alive(int(number)):
+                with contextlib.suppress(OSError):
+                    if (
+                        time.time() - folder.stat().st_mtime > _STALE_S
+                        and folder.stat().st_uid == os.getuid()
+                    ):
+                        _remove(folder)
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        return True
+    return True

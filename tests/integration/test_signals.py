@@ -1,0 +1,62 @@
+"""Two signals at any moment: exit code 0, soon, and nothing left (`signal_pairs.py` tries as many as one likes)."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
+pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
+
+from integration.signal_pairs import try_pairs
+
+PAIRS = int(os.environ.get("SIGNAL_PAIRS", "4"))
+
+
+@pytest.mark.timeout(60 + 30 * PAIRS)
+def test_pairs_of_signals_end_the_node_in_order(tmp_path):
+    wrong = [ending for ending in try_pairs(PAIRS, tmp_path, seed=1) if not ending.as_wanted]
+    assert not wrong
+
+
+def program(body: str) -> list[str]:
+    return [
+        sys.executable,
+        "-c",
+        textwrap.dedent("from softtissue_estimator.ros.runtime import *\n") + textwrap.dedent(body),
+    ]
+
+
+def test_a_storm_of_signals_is_one_request():
+    body = """
+    stop = StopRequest()
+    print("ready", flush=True)
+    stop.event.wait()
+    leave(stop.exit_code)
+    """
+    for _ in range(10):
+        with subprocess.Popen(program(body), stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout.readline() == "ready\n"
+            for _ in range(50):
+                if process.poll() is None:
+                    process.send_signal(signal.SIGINT)
+            assert process.wait(5.0) == 0
+
+
+def test_program_that_cannot_stop_ends_at_last():
+    body = """
+    stop = StopRequest(0.5)
+    print("ready", flush=True)
+    while True:
+        time.sleep(0.01)
+    """
+    with subprocess.Popen(program(body), stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGTERM)
+        began = time.monotonic()
+        assert process.wait(5.0) == 0
+        assert time.monotonic() - began < 2.0
