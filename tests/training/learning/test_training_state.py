@@ -5,6 +5,7 @@ from softtissue_training.learning.training_config import get_config
 from softtissue_training.learning.training_state import Progress, load_state, save_state
 
 TINY = get_config("tiny")
+SHAPE = (1, TINY.spec.architecture.in_channels, 8, 8, 8)
 
 
 def test_state_restores_weights_average_optimiser_and_progress(tmp_path):
@@ -14,7 +15,7 @@ def test_state_restores_weights_average_optimiser_and_progress(tmp_path):
         optimiser = torch.optim.Adam(network.parameters(), lr=1e-2)
         for _ in range(2):
             optimiser.zero_grad()
-            network(torch.randn(1, 5, 8, 8, 8)).square().mean().backward()
+            network(torch.randn(SHAPE)).square().mean().backward()
             optimiser.step()
         return network, UNet(TINY.spec.architecture), optimiser
 
@@ -24,7 +25,7 @@ def test_state_restores_weights_average_optimiser_and_progress(tmp_path):
     before = Progress(step=7, epoch=2, batch=3, seconds=0.1 + 0.2, best_error=0.5, loss_sum=1 / 3)
     save_state(path, one, average, optimiser, before, TINY.to_json())
     assert load_state(path, other, other_average, other_optimiser, TINY.to_json()) == before
-    batch = torch.randn(1, 5, 8, 8, 8)
+    batch = torch.randn(SHAPE)
     torch.testing.assert_close(other_average(batch), average(batch))
     for network, adam in ((one, optimiser), (other, other_optimiser)):
         adam.zero_grad()
