@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from softtissue_estimator.errors import MeshError
+from softtissue_estimator.organ.decimation import decimated
 from softtissue_estimator.organ.mesh import FloatArray, IntArray, SurfaceMesh
 from softtissue_estimator.organ.mesh_files.cell_surface import (
     CellBlock,
@@ -35,6 +36,7 @@ _READERS: dict[str, Callable[[Path], MeshCells]] = {
 MESH_FORMATS = tuple(_READERS)
 
 _log = logging.getLogger(__name__)
+_LARGEST_FILE_BYTES = 1 << 30  # several million triangles as text
 _SAME_PLACE_SHARE = 1e-7  # of the largest extent
 # How files begin, what that is, and the extension it should have.
 _FILE_SIGNATURES = (
@@ -102,9 +104,15 @@ def read_mesh(path: Path, unit_m: float, system: str | None = None) -> StoredMes
             f"mesh {path}: expected one of {', '.join(MESH_FORMATS)}, got {kind or 'no extension'}"
         )
     try:
-        if path.stat().st_size == 0:
+        size = path.stat().st_size
+        if size == 0:
             raise MeshError("expected a mesh, got an empty file")
-        return _surface(_in_system(_READERS[kind](path), system, path), unit_m)
+        if size > _LARGEST_FILE_BYTES:
+            raise MeshError(
+                f"expected a file of at most {_LARGEST_FILE_BYTES >> 20} MiB, got {size >> 20} MiB; reduce the mesh "
+                "where it was made"
+            )
+        return _reduced(_surface(_in_system(_READERS[kind](path), system, path), unit_m), str(path))
     except MeshError as error:
         raise MeshError(f"mesh {path}: {_other_format(path) or error}") from error
     except OSError as error:
@@ -127,7 +135,10 @@ def _surface(cells: MeshCells, unit_m: float) -> StoredMesh:
     """Merge vertices in one place, keeping the first of each, and drop what has no area."""
     vertices, blocks = cells.points * unit_m, cells.blocks
     check_cells(blocks, len(vertices))
-    used = np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
+    is_used = np.zeros(len(vertices), dtype=np.bool_)
+    for block in blocks:
+        is_used[block.nodes] = True
+    used = np.flatnonzero(is_used)
     if not np.isfinite(vertices[used]).all():
         bad = int((~np.isfinite(vertices[used]).all(axis=1)).sum())
         raise MeshError(f"expected finite coordinates, got {bad} vertices with NaN or inf")
@@ -135,10 +146,11 @@ def _surface(cells: MeshCells, unit_m: float) -> StoredMesh:
     if not 0.0 < extent < np.inf:
         raise MeshError("expected a surface with an extent, got all vertices in one place")
     # Vertices of no cell may be anywhere, also at NaN; they may be copies of others.
-    finite = np.flatnonzero(np.isfinite(vertices).all(axis=1))
-    candidates = np.concatenate([used, np.setdiff1d(finite, used, assume_unique=True)])
+    others = np.flatnonzero(~is_used)
+    candidates = np.concatenate([used, others[np.isfinite(vertices[others]).all(axis=1)]])
     place = np.arange(len(vertices))
-    place[candidates] = candidates[_first_in_place(vertices[candidates], _SAME_PLACE_SHARE * extent)]
+    low, tolerance = vertices[used].min(axis=0), _SAME_PLACE_SHARE * extent
+    place[candidates] = candidates[_first_in_place(vertices[candidates], low, tolerance)]
     faces = surface_of_cells(vertices, [CellBlock(block.kind, place[block.nodes]) for block in blocks])
     distinct = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     if not distinct.any():
@@ -146,12 +158,25 @@ def _surface(cells: MeshCells, unit_m: float) -> StoredMesh:
     return _keep_used(vertices, faces[distinct], place, cells.system)
 
 
-def _first_in_place(points: FloatArray, tolerance: float) -> IntArray:
-    """For each of (n, 3) points, the first one that is the same up to rounding to a tolerance, (n,)."""
-    rounded = np.round(points / tolerance) + 0.0
-    order = np.lexsort(rounded.T)
+def _reduced(stored: StoredMesh, name: str) -> StoredMesh:
+    mesh, nearest = decimated(stored.mesh, name)
+    if mesh is stored.mesh:
+        return stored
+    numbers = np.where(stored.vertex_of_stored >= 0, nearest[stored.vertex_of_stored], -1)
+    return StoredMesh(mesh, numbers, stored.system)
+
+
+def _first_in_place(points: FloatArray, low: FloatArray, tolerance: float) -> IntArray:
+    """For each of (n, 3) points, the first one that is the same up to rounding to a tolerance, (n,).
+
+    Points outside the cube of 2^24 tolerances above `low` (3,), where nothing is used, may count as the same.
+    """
+    # Two whole numbers instead of three coordinates: sorting is what takes the time.
+    steps = np.clip(np.round((points - low) / tolerance), -1, 2**24).astype(np.int64) + 1
+    first_two, third = steps[:, 0] << 32 | steps[:, 1], steps[:, 2]
+    order = np.lexsort((third, first_two))
     starts = np.ones(len(points), dtype=np.bool_)
-    starts[1:] = (rounded[order[1:]] != rounded[order[:-1]]).any(axis=1)
+    starts[1:] = (np.diff(first_two[order]) != 0) | (np.diff(third[order]) != 0)
     first = np.empty(len(points), dtype=np.int64)
     # Sorting is stable, so the first of equal points stays the first.
     first[order] = order[starts][np.cumsum(starts) - 1]

@@ -167,8 +167,9 @@ def load_organ(folder: Path, roots: tuple[Path, ...] | None = None) -> Organ:
     check_size(stored.mesh, file.path, file.unit, file.unit_m)
     check_closed(stored.mesh, str(file.surface))
     warn_of_stray_vertices(stored, str(file.surface))
-    meshes = [read_mesh(entry.mesh, file.unit_m, stored.system) for entry in file.structures]
-    system = _common_system(stored, meshes, file)
+    system = _surface_system(stored, file)
+    meshes = [read_mesh(entry.mesh, file.unit_m, system) for entry in file.structures]
+    system = system or _common_system(meshes, file)
     structures = tuple(map(_structure, file.structures, meshes))
     for structure in structures:
         check_place(structure.name, structure.mesh, stored.mesh, file.path)
@@ -176,15 +177,24 @@ def load_organ(folder: Path, roots: tuple[Path, ...] | None = None) -> Organ:
     return make_organ(file.name, file.frame, stored.mesh, structures, attached, folder, system)
 
 
-def _common_system(surface: StoredMesh, structures: Sequence[StoredMesh], file: OrganFile) -> str | None:
-    """Return the coordinate system that the surface states, or else the only one that structures state."""
+def _surface_system(surface: StoredMesh, file: OrganFile) -> str | None:
+    """Return the coordinate system that the surface or `organ.yaml` states; they must not contradict each other."""
+    if surface.system is not None and file.system not in (None, surface.system):
+        raise OrganError(
+            f"{file.path}, system: expected {surface.system}, as {file.surface.name} states, got {file.system}"
+        )
+    return surface.system or file.system
+
+
+def _common_system(structures: Sequence[StoredMesh], file: OrganFile) -> str | None:
+    """Return the coordinate system that structures state beside a surface that states none."""
     stated = sorted({mesh.system for mesh in structures if mesh.system is not None})
-    if surface.system is None and len(stated) > 1:
+    if len(stated) > 1:
         raise OrganError(
             f"{file.path}: expected a surface that states its coordinate system, since structures state "
-            f"{' and '.join(stated)}, got {file.surface.name}, which states none"
+            f"{' and '.join(stated)}, got {file.surface.name}, which states none; state it as system"
         )
-    return surface.system or (stated[0] if stated else None)
+    return stated[0] if stated else None
 
 
 def _structure(entry: StructureEntry, stored: StoredMesh) -> Structure:

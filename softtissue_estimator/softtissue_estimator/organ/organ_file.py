@@ -61,6 +61,8 @@ class OrganFile:
         'mm' or 'm', of the meshes.
     attached : AttachedEntry or None
         None if the file says nothing about it.
+    system : str or None
+        'LPS' or 'RAS', of the surface; None if the file says nothing about it.
     """
 
     path: Path
@@ -70,6 +72,7 @@ class OrganFile:
     surface: Path
     structures: tuple[StructureEntry, ...]
     attached: AttachedEntry | None
+    system: str | None = None
 
     @property
     def unit_m(self) -> float:
@@ -98,10 +101,15 @@ def read_organ_file(folder: Path, roots: tuple[Path, ...] | None = None) -> Orga
         raise OrganError(f"organ {folder}: expected a folder with {FILE_NAME}, found none that can be read")
     content = read_yaml(path, OrganError)
     source = _Source(path, roots)
-    top = _Entry(source, "", content, {"name", "frame", "unit", "surface", "structures", "attached"})
+    top = _Entry(
+        source, "", content, {"name", "frame", "unit", "system", "surface", "structures", "attached"}
+    )
     unit = top.text("unit", required_hint="mm or m")
     if unit not in UNITS_M:
         raise OrganError(f"{path}, unit: expected mm or m, got {shown(unit)}")
+    system = None if top.value("system") is None else top.text("system").upper()
+    if system not in (None, "LPS", "RAS"):
+        raise OrganError(f"{path}, system: expected LPS or RAS, got {shown(system)}")
     return OrganFile(
         path=path,
         name=top.text("name", default=real(folder).name),
@@ -110,6 +118,7 @@ def read_organ_file(folder: Path, roots: tuple[Path, ...] | None = None) -> Orga
         surface=top.file("surface"),
         structures=tuple(_structure(source, i, item) for i, item in enumerate(top.items("structures"))),
         attached=_attached(source, top.value("attached"), UNITS_M[unit]),
+        system=system,
     )
 
 

@@ -134,7 +134,7 @@ def tetrahedralise(surface: SurfaceMesh, progress: Callable[[str], None]) -> Vol
     edge = (volume / _CUBED_EDGES_PER_VOLUME) ** (1.0 / 3.0)
     mesh = None
     for _ in range(3):
-        progress(f"filling the organ with tetrahedra of {1e3 * edge:.1f} mm, a few seconds")
+        progress(f"filling the organ with tetrahedra of {1e3 * edge:.1f} mm, which takes 5 to 60 s")
         mesh = clean_tets(*_run_ftetwild(surface, edge))
         if len(mesh.nodes) < _FEWEST_NODES:
             edge *= 0.75

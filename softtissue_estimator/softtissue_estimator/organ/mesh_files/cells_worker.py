@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 
 UNREADABLE = 3
-_LEAST_MEMORY_BYTES = 4 << 30  # beside a multiple of the file's size
-_MEMORY_BYTES_PER_FILE_BYTE = 200
+_LEAST_MEMORY_BYTES = (
+    3 << 30
+)  # of addresses, of which libraries take one; beside a multiple of the file's size
+_MEMORY_BYTES_PER_FILE_BYTE = 20
 _MSH_SECTION = re.compile(rb"^\$(?!End)(\w+)[ \t]*\r?$", re.MULTILINE)
 _MSH_GEOMETRY = (b"MeshFormat", b"Nodes", b"Elements")
 
@@ -38,10 +40,15 @@ def main() -> int:
     )
     try:
         arrays = _read_msh(source) if kind == ".msh" else _read_vtk(source, kind)
+        np.savez(target, **arrays)
     except _UnreadableError as error:
         print(error, file=sys.stderr)
         return UNREADABLE
-    np.savez(target, **arrays)
+    except MemoryError:
+        print(
+            f"it needs more than the {limit / 2**30:.1f} GiB of memory that reading may take", file=sys.stderr
+        )
+        return UNREADABLE
     return 0
 
 
@@ -57,6 +64,11 @@ def _read_vtk(source: str, kind: str) -> dict[str, Any]:
     capture = vtkStringOutputWindow()
     vtkOutputWindow.SetInstance(capture)
     reader.SetFileName(source)
+    if kind != ".vtk":
+        # Geometry alone is wanted; data of points and cells may be of any size.
+        reader.UpdateInformation()
+        reader.GetPointDataArraySelection().DisableAllArrays()
+        reader.GetCellDataArraySelection().DisableAllArrays()
     reader.Update()
     data = reader.GetOutput()
     printed = capture.GetOutput()

@@ -19,7 +19,7 @@ from softtissue_estimator.organ.mesh_files.cells_worker import UNREADABLE
 from softtissue_estimator.organ.mesh_files.plain_text import without_mark
 from softtissue_estimator.support.leftovers import run_contained, temporary_folder
 
-_TIMEOUT_S = 300.0
+_TIMEOUT_S = 60.0
 _DECLARED_ENCODING = re.compile(rb"^(\s*<\?xml[^>]*encoding=[\"'])[^\"']*([\"'])")
 _WORKER = Path(__file__).with_name("cells_worker.py")
 
@@ -62,7 +62,7 @@ def read_isolated(path: Path, expected: str) -> dict[str, NDArray[Any]]:
             with np.load(target) as arrays:
                 return dict(arrays)
     _log.debug("reading %s ended with exit code %d, %s", path, done.returncode, printed)
-    why = printed if done.returncode == UNREADABLE else "damaged or cut off"
+    why = printed if done.returncode == UNREADABLE else "damaged, cut off or too large"
     raise MeshError(f"expected {expected}, got a file that cannot be read as such: {why}")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from softtissue_estimator.organ.mesh_files.plain_text import decimal_comma_hint,
 
 _HEADER_BYTES, _TRIANGLE_BYTES = 84, 50  # of a binary file
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_VERTEX = re.compile(rb"^[ \t]*vertex((?:[ \t]+[-+.\deE]+){3})[ \t]*\r?$", re.MULTILINE | re.IGNORECASE)
 _TEXT = re.compile(rb"\s*solid\b", re.IGNORECASE)
 
 
@@ -34,7 +36,7 @@ def read_stl(path: Path) -> MeshCells:
         return _binary(content, announced)
     text = without_mark(content)
     if b"\0" not in text[:1000] or _TEXT.match(text):
-        return _text(text)
+        return _plain_text(text) or _text(text)
     raise MeshError(
         f"expected STL, got {len(content)} bytes where a binary file whose header announces {announced} triangles has "
         f"{_HEADER_BYTES + _TRIANGLE_BYTES * announced}; it is damaged, cut off or no STL"
@@ -45,6 +47,26 @@ def _binary(content: bytes, count: int) -> MeshCells:
     corners = np.frombuffer(content, _TRIANGLE, count, _HEADER_BYTES)["corners"]
     header = content[: _HEADER_BYTES - 4].decode("latin-1")
     return _triangles(corners.astype(np.float64).reshape(-1, 3), stated_system(header))
+
+
+def _plain_text(content: bytes) -> MeshCells | None:
+    """Read text that is as most programs write it, millions of triangles in seconds; None if it is not."""
+    rows = _VERTEX.findall(content)
+    words = content.lower()
+    complete = words.rstrip().rpartition(b"\n")[2].lstrip().startswith(b"endsolid")
+    loops, ends = words.count(b"outer loop"), words.count(b"endloop")
+    if not complete or not len(rows) == words.count(b"vertex") == 3 * loops == 3 * ends:
+        return None
+    if words.count(b"endsolid") != 1:
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # numpy warns of what is no number
+        try:
+            points = np.fromstring(b" ".join(rows).decode("ascii"), sep=" ").reshape(-1, 3)
+        except (ValueError, DeprecationWarning):
+            return None
+    name = content.lstrip().partition(b"\n")[0].decode("utf-8", errors="replace")
+    return _triangles(points, stated_system(name)) if len(points) == len(rows) else None
 
 
 def _text(content: bytes) -> MeshCells:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from softtissue_estimator.organ.mesh import IntArray
 from softtissue_estimator.organ.mesh_files.cell_surface import CellBlock, MeshCells
 from softtissue_estimator.organ.mesh_files.coordinate_system import stated_system
 from softtissue_estimator.organ.mesh_files.isolated import read_isolated, require_library
+from softtissue_estimator.organ.mesh_files.plain_text import without_mark
 
 VTK_FORMATS = (".vtk", ".vtp", ".vtu")
 
@@ -52,6 +54,8 @@ _CELL_TYPE_NAMES = {
     73: "wedge",
     74: "pyramid",
 }
+_ANNOUNCED = re.compile(rb"NumberOf(Points|Polys|Strips|Lines|Verts|Cells|Components)\s*=\s*[\"'](\d+)[\"']")
+_MOST_COMPONENTS, _MOST_CELLS = 1000, 20_000_000
 _CELL_ARRAYS = 4  # polygons, strips, lines and points of PolyData; an UnstructuredGrid has one
 
 
@@ -64,6 +68,8 @@ def read_vtk(path: Path) -> MeshCells:
         The VTK library is missing, or the file holds no PolyData or UnstructuredGrid with points.
     """
     require_library("vtkmodules", "vtk", "vtk", path.suffix)
+    if path.suffix.lower() != ".vtk":
+        _check_announced(without_mark(path.read_bytes()))
     arrays = read_isolated(path, "PolyData or UnstructuredGrid with points")
     points = np.asarray(arrays["points"], dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
@@ -76,6 +82,16 @@ def read_vtk(path: Path) -> MeshCells:
             )
             blocks += _blocks(types, offsets, nodes)
     return MeshCells(points, blocks, stated_system(str(arrays.get("header", ""))))
+
+
+def _check_announced(content: bytes) -> None:
+    """Raise MeshError if a file in XML, which may be compressed, announces more than any organ has."""
+    for name, digits in _ANNOUNCED.findall(content):
+        most = _MOST_COMPONENTS if name == b"Components" else _MOST_CELLS
+        if len(digits) > 18 or int(digits) > most:
+            raise MeshError(
+                f"expected at most {most} {name.decode().lower()}, the file announces {digits[:20].decode()}"
+            )
 
 
 def _blocks(kinds: IntArray, offsets: IntArray, nodes: IntArray) -> Iterator[CellBlock]:

@@ -177,3 +177,27 @@ def test_meshes_that_contradict_each_other_beside_such_a_surface_are_refused(tmp
         OrganError, match="since structures state LPS and RAS, got liver.obj, which states none"
     ):
         load_organ(folder)
+
+
+def test_organ_yaml_may_state_the_system_of_a_surface_that_does_not(tmp_path):
+    folder = organ_folder(tmp_path, tumour="LPS", touch="RAS")
+    path = folder / "organ.yaml"
+    path.write_text("system: ras\n" + path.read_text())
+    organ = load_organ(folder)
+    assert organ.system == "RAS"
+    np.testing.assert_allclose(organ.structures[0].mesh.vertices, TUMOUR.vertices, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("system", "message"),
+    [
+        ("LPS", "system: expected RAS, as liver.obj states, got LPS"),
+        ("XYZ", "system: expected LPS or RAS, got"),
+    ],
+)
+def test_organ_yaml_that_contradicts_the_surface_is_refused(tmp_path, system, message):
+    folder = organ_folder(tmp_path, liver="RAS")
+    path = folder / "organ.yaml"
+    path.write_text(f"system: {system}\n" + path.read_text())
+    with pytest.raises(OrganError, match=message):
+        load_organ(folder)

@@ -149,3 +149,37 @@ def test_arrays_of_damaged_files_never_reach_beyond_each_other():
         else:
             assert sum(len(block.nodes) for block in blocks) >= 4
     assert 0 < refused < 300
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        ("liver.vtp", 'NumberOfComponents="3"', 'NumberOfComponents="2000000000"', "expected at most 1000 components"),
+        ("liver.vtp", 'NumberOfPoints="', 'NumberOfPoints="999999', "expected at most 20000000 points"),
+        ("liver.vtp", 'NumberOfPolys="', 'NumberOfPolys="99999999999999999999', "expected at most 20000000 polys"),
+        ("box.vtu", 'NumberOfCells="', 'NumberOfCells="999999', "expected at most 20000000 cells, the file"),
+    ],
+)  # fmt: skip
+def test_files_that_announce_more_than_any_organ_has_are_refused(vtk, tmp_path, name, old, new, message):
+    is_grid = name == "box.vtu"
+    data = (
+        vtk_cells(vtk, 10, BOX.nodes, BOX.tets) if is_grid else vtk_cells(vtk, 5, LIVER.vertices, LIVER.faces)
+    )
+    write_vtk(vtk, data, tmp_path / name)
+    content = (tmp_path / name).read_text(encoding="latin-1")
+    assert old in content
+    (tmp_path / name).write_text(content.replace(old, new, 1), encoding="latin-1")
+    with pytest.raises(MeshError, match=message):
+        read_mesh(tmp_path / name, MM)
+
+
+def test_data_of_points_is_not_read(vtk, tmp_path):
+    """Thirty numbers a point, of which none is wanted, and a compressed file."""
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+
+    data = vtk_cells(vtk, 5, LIVER.vertices / MM, LIVER.faces)
+    array = numpy_to_vtk(np.zeros((len(LIVER.vertices), 30)), deep=True)
+    array.SetName("data")
+    data.GetPointData().AddArray(array)
+    write_vtk(vtk, data, tmp_path / "liver.vtp")
+    check_surface(read_mesh(tmp_path / "liver.vtp", MM))
