@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from softtissue_estimator.errors import OrganError
-from softtissue_estimator.support.files import expanded, is_file, is_inside, read_limited, real
+from softtissue_estimator.support.files import can_be_read, expanded, is_file, is_inside, read_limited, real
 from softtissue_estimator.support.yaml_file import kind_of, read_yaml, shown
 
 FILE_NAME = "organ.yaml"
@@ -240,6 +240,8 @@ class _Entry:
             )
         if not is_file(file):
             raise OrganError(f"{self.where(key)}: expected a file, found none at {file}")
+        if not can_be_read(file):
+            raise OrganError(f"{self.where(key)}: expected a file that may be read, got {file}")
         return file
 
     def items(self, key: str) -> list[Any]:

@@ -11,7 +11,6 @@ import os
 import tempfile
 import time
 import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softtissue_estimator.support.files import expanded, is_file
 from softtissue_estimator.support.leftovers import temporary
 
 Arrays = dict[str, NDArray[Any]]
@@ -30,9 +30,12 @@ _STALE_S = 3600.0  # nobody writes that long
 
 
 def cache_folder() -> Path:
-    """Where results are kept: `$XDG_CACHE_HOME/softtissue_estimator`, by default under `~/.cache`."""
+    """Where results are kept: `$XDG_CACHE_HOME/softtissue_estimator`, by default under `~/.cache`.
+
+    Where nobody has a home there is none: a folder `~` that does not exist, so that nothing is kept.
+    """
     base = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(base) if os.path.isabs(base) else Path("~/.cache").expanduser()) / "softtissue_estimator"
+    return (Path(base) if os.path.isabs(base) else expanded("~/.cache")) / "softtissue_estimator"
 
 
 def cached_arrays(
@@ -41,6 +44,7 @@ def cached_arrays(
     version: int,
     parameters: Mapping[str, float | int | str | bool],
     compute: Callable[[], Arrays],
+    fits: Callable[[Arrays], bool],
 ) -> Arrays:
     """Return stored arrays, or compute and store them.
 
@@ -56,10 +60,15 @@ def cached_arrays(
         Everything else that the result depends on.
     compute : callable
         Makes the arrays if they are not stored or cannot be read.
+    fits : callable
+        Says whether stored arrays are such as `compute` makes: their names, shapes, types and ranges.
     """
     key = json.dumps([what, digest, version, dict(parameters)], sort_keys=True)
-    path = cache_folder() / f"{what}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.npz"
-    stored = _read(path, key)
+    folder = cache_folder()
+    if not folder.is_absolute():
+        return compute()
+    path = folder / f"{what}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.npz"
+    stored = _read(path, key, fits)
     if stored is not None:
         return stored
     arrays = compute()
@@ -67,18 +76,39 @@ def cached_arrays(
     return arrays
 
 
-def _read(path: Path, key: str) -> Arrays | None:
+def _read(path: Path, key: str, fits: Callable[[Arrays], bool]) -> Arrays | None:
+    if not os.path.lexists(path):
+        return None
     try:
-        # Opened here, because NumPy leaves a damaged file open.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            if str(arrays[_KEY_NAME]) != key:
-                return None
-            return {name: arrays[name] for name in arrays.files if name != _KEY_NAME}
-    except FileNotFoundError:
+        arrays = _stored_arrays(path)
+        if str(arrays.pop(_KEY_NAME)) != key:
+            return None
+        if not fits(arrays):
+            raise ValueError("arrays of other names, shapes or values")
+    except (
+        Exception
+    ) as error:  # a damaged file may raise anything: NumPy, zipfile and zlib leave it to their parts
+        _log.warning("cached file %s cannot be read (%s) and is computed again", path, type(error).__name__)
         return None
-    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
-        _log.warning("cached file %s cannot be read (%s) and is computed again", path, error)
-        return None
+    return arrays
+
+
+def _stored_arrays(path: Path) -> Arrays:
+    if not is_file(path):
+        raise ValueError("no file")
+    # Opened here, because NumPy leaves a damaged file open.
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        with zipfile.ZipFile(file) as archive:
+            members = archive.infolist()
+            # As `savez` writes them: whatever is compressed may be of any size once it is read.
+            if any(m.compress_type != zipfile.ZIP_STORED or m.flag_bits & 1 for m in members):
+                raise ValueError("compressed or encrypted")
+            if sum(m.file_size for m in members) > size:
+                raise ValueError("larger than its file")
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
 
 
 def _write(path: Path, key: str, arrays: Arrays) -> None:
@@ -91,7 +121,7 @@ def _write(path: Path, key: str, arrays: Arrays) -> None:
                 np.savez(file, allow_pickle=False, **{_KEY_NAME: np.array(key)}, **arrays)
             os.replace(partial, path)
         _prune(path.parent)
-    except OSError as error:
+    except (OSError, ValueError) as error:
         _log.warning(
             "results cannot be kept in %s (%s); they are computed again next time", path.parent, error
         )

@@ -14,6 +14,17 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def can_be_read(path: Path) -> bool:
+    """Say whether a path is a file that this program may read."""
+    try:
+        if not is_file(path):  # opening a pipe would wait
+            return False
+        with path.open("rb"):
+            return True
+    except (OSError, ValueError):
+        return False
+
+
 def expanded(name: str) -> Path:
     """Return a path with `~` and `~user` replaced; one of an unknown user stays as it is."""
     try:

@@ -1,9 +1,11 @@
 """What an organ needs computed once for the elastic posterior: tetrahedra, springs that hold it, possible loads."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from softtissue_estimator.config import EstimatorConfig
@@ -79,7 +81,12 @@ def build_model(
         )
     # By the surface and the query points alone: another attached region keeps the mesh.
     stored = cached_arrays(
-        "tetrahedra", organ.geometry_digest, _CACHE_VERSION, {}, lambda: _fill(organ, progress)
+        "tetrahedra",
+        organ.geometry_digest,
+        _CACHE_VERSION,
+        {},
+        lambda: _fill(organ, progress),
+        lambda arrays: _fits(arrays, organ),
     )
     mesh = VolumeMesh(stored["nodes"], stored["tets"])
     attached = mesh.interpolation(organ.surface.vertices[organ.attached])
@@ -115,6 +122,26 @@ def _springs(mesh: VolumeMesh, attached: csr_array, stiffness: FloatArray) -> Fl
     # Per volume, Young's modulus over the square of the organ's size is the stiffness of the organ itself.
     held[np.diag_indices(len(held))] += nodal_volumes(mesh) * (ground / mesh.volumes.sum() ** (2.0 / 3.0))
     return np.asarray(held, dtype=np.float64)
+
+
+def _fits(arrays: Arrays, organ: Organ) -> bool:
+    """Say whether arrays are such as `_fill` makes for an organ."""
+    if arrays.keys() != {"nodes", "tets", "sample_tet", "query_tet"}:
+        return False
+    nodes, tets = arrays["nodes"], arrays["tets"]
+    if nodes.dtype != np.float64 or nodes.ndim != 2 or nodes.shape[1] != 3 or not np.isfinite(nodes).all():
+        return False
+    if not _indices(tets, (len(tets), 4), len(nodes)) or not (VolumeMesh(nodes, tets).volumes > 0.0).all():
+        return False
+    places = {"sample_tet": len(organ.surface_lookup.samples), "query_tet": len(organ.query_points)}
+    return all(_indices(arrays[name], (count,), len(tets)) for name, count in places.items())
+
+
+def _indices(array: NDArray[Any], shape: tuple[int, ...], count: int) -> bool:
+    """Say whether an array has a shape and holds indices of `count` things."""
+    if array.dtype != np.int64 or array.shape != shape or array.size == 0:
+        return False
+    return bool(array.min() >= 0 and array.max() < count)
 
 
 def _fill(organ: Organ, progress: Progress) -> Arrays:

@@ -11,11 +11,11 @@ from softtissue_estimator.errors import CheckpointError
 from softtissue_estimator.estimators.hybrid.input import HYBRID_CHANNELS, HybridSpec
 from softtissue_estimator.estimators.hybrid.network import HybridArchitecture, HybridNetwork
 from softtissue_estimator.estimators.paper.checkpoint import (
-    check_shapes,
     parse_spec,
     read_weights,
     write_weights,
 )
+from softtissue_estimator.estimators.paper.checkpoint_limits import build_network, check_spec
 
 KIND = "hybrid"
 
@@ -62,7 +62,6 @@ def load_hybrid_checkpoint(path: Path) -> HybridCheckpoint:
             f"checkpoint {path} reads other channels: expected {', '.join(HYBRID_CHANNELS)}, "
             f"got {', '.join(spec.channels)}"
         )
-    network = HybridNetwork(spec.architecture)
-    check_shapes(path, network, tensors)
-    network.load_state_dict(tensors)
-    return HybridCheckpoint(network.eval().requires_grad_(False), spec, provenance)
+    check_spec(path, spec, tensors)
+    network = build_network(path, HybridNetwork, spec.architecture, tensors)
+    return HybridCheckpoint(network, spec, provenance)

@@ -11,13 +11,15 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from softtissue_estimator.errors import CheckpointError
+from softtissue_estimator.estimators.paper.checkpoint_limits import build_network, check_spec
 from softtissue_estimator.estimators.paper.network import UNet, UNetArchitecture
 from softtissue_estimator.estimators.paper.network_spec import NetworkSpec
+from softtissue_estimator.support.files import is_file
 
 FORMAT = "softtissue-checkpoint"
 VERSION = 1
@@ -89,10 +91,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
     """
     metadata, tensors = read_weights(path, KIND)
     spec, provenance = parse_spec(path, metadata, NetworkSpec, UNetArchitecture)
-    network = UNet(spec.architecture)
-    check_shapes(path, network, tensors)
-    network.load_state_dict(tensors)
-    return Checkpoint(network.eval().requires_grad_(False), spec, provenance)
+    check_spec(path, spec, tensors)
+    return Checkpoint(build_network(path, UNet, spec.architecture, tensors), spec, provenance)
 
 
 def parse_spec(
@@ -123,7 +123,7 @@ def parse_spec(
             fields[name] = tuple(fields[name])
         spec = spec_type(**fields, architecture=architecture_type(**architecture))
         provenance: dict[str, Any] = json.loads(metadata["provenance"])
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise CheckpointError(f"checkpoint {path} has unreadable metadata: {error}") from error
     if not len(spec.input_scales) == len(spec.channels) == spec.architecture.in_channels:
         raise CheckpointError(
@@ -144,7 +144,7 @@ def read_provenance(path: Path) -> dict[str, Any]:
     metadata, _ = read_weights(path, None)
     try:
         provenance: dict[str, Any] = json.loads(metadata["provenance"])
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, RecursionError) as error:
         raise CheckpointError(f"checkpoint {path} has unreadable metadata: {error}") from error
     return provenance
 
@@ -191,13 +191,13 @@ def read_weights(path: Path, kind: str | None) -> tuple[dict[str, str], dict[str
     CheckpointError
         The file is missing, damaged, no checkpoint of this software, or holds another kind of network.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise CheckpointError(f"checkpoint {path} does not exist; expected a .safetensors file")
     try:
         with safe_open(path, framework="pt") as stored:
             metadata = stored.metadata() or {}
             tensors = {name: stored.get_tensor(name).float() for name in stored.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
+    except Exception as error:  # of the library, which also raises errors of Rust's own
         raise CheckpointError(f"checkpoint {path} is damaged or not a safetensors file: {error}") from error
     if metadata.get("format") != FORMAT:
         raise CheckpointError(
@@ -211,24 +211,3 @@ def read_weights(path: Path, kind: str | None) -> tuple[dict[str, str], dict[str
     if kind is not None and found != kind:
         raise CheckpointError(f"checkpoint {path}: expected weights of '{kind}', got weights of '{found}'")
     return metadata, tensors
-
-
-def check_shapes(path: Path, network: nn.Module, tensors: dict[str, Tensor]) -> None:
-    """Compare weights with what a network holds.
-
-    Raises
-    ------
-    CheckpointError
-        Names or shapes differ, or a weight is not finite.
-    """
-    expected = {name: tuple(t.shape) for name, t in network.state_dict().items()}
-    got = {name: tuple(t.shape) for name, t in tensors.items()}
-    if expected != got:
-        name = sorted(set(expected.items()) ^ set(got.items()))[0][0]
-        raise CheckpointError(
-            f"checkpoint {path} is of another architecture: expected {name} {expected.get(name, 'absent')}, "
-            f"got {got.get(name, 'absent')}"
-        )
-    bad = [name for name, t in tensors.items() if not bool(torch.isfinite(t).all())]
-    if bad:
-        raise CheckpointError(f"checkpoint {path} is damaged: {bad[0]} holds values that are not finite")

@@ -104,12 +104,18 @@ def cached_channels(organ: Organ, grid: VoxelGrid) -> OrganChannels:
             "zero_displacement": channels.zero_displacement.numpy(),
         }
 
+    def fits(arrays: Arrays) -> bool:
+        return arrays.keys() == {"signed_distance", "zero_displacement"} and all(
+            array.dtype == np.float32 and array.shape == tuple(grid.shape) and bool(np.isfinite(array).all())
+            for array in arrays.values()
+        )
+
     parameters: dict[str, float | int | str | bool] = {
         "spacing": grid.spacing,
         "shape": str(grid.shape),
         "origin": str(grid.origin),
     }
-    stored = cached_arrays("channels", organ.digest, PREPROCESSING_VERSION, parameters, compute)
+    stored = cached_arrays("channels", organ.digest, PREPROCESSING_VERSION, parameters, compute, fits)
     return OrganChannels(
         grid, torch.from_numpy(stored["signed_distance"]), torch.from_numpy(stored["zero_displacement"])
     )

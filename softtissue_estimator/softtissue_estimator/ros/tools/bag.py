@@ -1,17 +1,18 @@
 """Bags: recorded messages, their types and their quality of service."""
 
 import importlib
+import os
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
-from rosbags.rosbag2 import ReaderError
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.support.sentences import one_sentence
 
 
 class Bag:
@@ -24,18 +25,23 @@ class Bag:
     """
 
     def __init__(self, path: Path) -> None:
-        if not path.exists():
+        if not os.path.lexists(path):
             raise InvalidInputError(
                 f"bag {path}: expected a bag folder, .mcap or .db3 file, got nothing there"
             )
         self._stack = ExitStack()
         try:
             self._reader = self._stack.enter_context(AnyReader([path]))
-        except (AnyReaderError, ReaderError, OSError, ValueError) as error:
-            raise InvalidInputError(f"bag {path}: expected MCAP or sqlite3, got {error}") from error
-        if self._reader.message_count == 0:
+            count = self._reader.message_count
+        except (
+            Exception
+        ) as error:  # of its parts: YAML, sqlite3, MCAP, decompression, definitions of messages, ...
+            self._stack.close()
+            raise InvalidInputError(_damaged(path, error)) from error
+        if count == 0:
             self._stack.close()
             raise InvalidInputError(f"bag {path}: expected messages, got none")
+        self._path = path
 
     def __enter__(self) -> "Bag":
         return self
@@ -64,9 +70,29 @@ class Bag:
         return int(self._reader.duration)
 
     def messages(self) -> Iterator[tuple[Any, int, bytes]]:
-        """Yield connection, time of recording (nanoseconds) and serialised message, in order of time."""
-        for connection, recorded_ns, data in self._reader.messages():
-            yield connection, recorded_ns, bytes(data)
+        """Yield connection, time of recording (nanoseconds) and serialised message, in order of time.
+
+        Raises
+        ------
+        InvalidInputError
+            Where the bag is damaged.
+        """
+        recorded = self._reader.messages()
+        while True:
+            try:
+                connection, recorded_ns, data = next(recorded)
+                message = bytes(data)
+            except StopIteration:
+                return
+            except Exception as error:
+                raise InvalidInputError(_damaged(self._path, error)) from error
+            yield connection, recorded_ns, message
+
+
+def _damaged(path: Path, error: Exception) -> str:
+    return one_sentence(
+        f"bag {path}: expected MCAP or sqlite3 that can be read, got {type(error).__name__}: {error}"
+    )
 
 
 def message_type(name: str) -> Any:
@@ -79,9 +105,11 @@ def message_type(name: str) -> Any:
     """
     package, _, kind = name.partition("/msg/")
     try:
+        if not package.isidentifier() or not kind.isidentifier():
+            raise ImportError(name)
         return getattr(importlib.import_module(f"{package}.msg"), kind)
     except (ImportError, AttributeError):
-        raise InvalidInputError(f"expected an installed message type, got {name}") from None
+        raise InvalidInputError(f"expected an installed message type, got {one_sentence(name, 80)}") from None
 
 
 def begins_with_header(kind: Any) -> bool:

@@ -2,10 +2,12 @@
 
 import dataclasses
 import json
+import time
 from pathlib import Path
 
 import pytest
 import torch
+from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from softtissue_estimator.errors import CheckpointError
@@ -142,3 +144,52 @@ def test_frame_and_scale_of_the_deviation_come_back(tmp_path: Path) -> None:
     stored = load_checkpoint(tmp_path / "rigid.safetensors").spec
     assert stored == spec
     assert stored.frame == RIGID and stored.gives_sigma and stored.sigma_scale == 0.6
+
+
+ABSURD = [
+    {"architecture": {"widths": [10**9, 4, 4, 8]}},
+    {"architecture": {"widths": [4] * 60}},
+    {"architecture": {"widths": []}},
+    {"architecture": {"widths": [4.5, 4, 4, 8]}},
+    {"architecture": {"widths": [4, 4, 4, -8]}},
+    {"architecture": {"widths": [4, 4, 4, 8], "encoder_convolutions": 10**12}},
+    {"architecture": {"widths": [4, 4, 4, 8], "bottleneck_convolutions": 10**6}},
+    {"architecture": {"widths": [4, 4, 4, 8], "decoder_convolutions": -1}},
+    {"architecture": {"widths": [4, 4, 4, 8], "out_channels": 10**10}},
+    {"architecture": {"widths": [4, 4, 4, 8], "out_channels": True}},
+    {"spacing": 1e-9},
+    {"spacing": float("nan")},
+    {"spacing": 1e300},
+    {"spacing": "near"},
+    {"margin_cells": 10**9},
+    {"margin_cells": -3},
+    {"output_scale": float("inf")},
+    {"input_scales": [1.0, 1.0, "x", 1.0, 1.0]},
+    {"frame": 7},
+]
+
+
+@pytest.mark.parametrize("changes", ABSURD, ids=str)
+def test_absurd_sizes_are_refused_before_anything_is_built(stored: Path, changes: dict) -> None:
+    fields = dataclasses.asdict(SPEC)
+    _rewrite(stored, spec=json.dumps(fields | changes))
+    began = time.monotonic()
+    with pytest.raises(CheckpointError, match="expected"):
+        load_checkpoint(stored)
+    assert time.monotonic() - began < 5.0
+
+
+def test_tensors_of_a_large_empty_shape_are_refused(stored: Path) -> None:
+    tensors = load_file(stored)
+    with safe_open(stored, framework="pt") as file:
+        metadata = file.metadata()
+    tensors["heads.0.bias"] = torch.empty(10**9, 0)
+    save_file(tensors, stored, metadata=metadata)
+    with pytest.raises(CheckpointError, match="another architecture"):
+        load_checkpoint(stored)
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "zero\0byte", "/dev/zero"])
+def test_name_of_any_file_is_a_sentence(name: str) -> None:
+    with pytest.raises(CheckpointError, match="does not exist"):
+        load_checkpoint(Path(name))

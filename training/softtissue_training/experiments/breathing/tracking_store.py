@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import time
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 
 import softtissue_training
 from softtissue_estimator.observation.rigid import RigidMotion
+from softtissue_estimator.support.files import is_file
 from softtissue_training.core_sources import core_sources
 from softtissue_training.experiments.breathing.case import BreathingCase
 from softtissue_training.experiments.breathing.surface_tracking import TRACKERS, Progress, Tracked
@@ -28,10 +30,15 @@ def track_once(
         Where what is found is kept and looked for.
     """
     path = folder / f"tracking-{name}-{_key(case, motion)}.npz"
-    if path.is_file():
-        with np.load(path, allow_pickle=False) as file:
-            motion = RigidMotion(file["rotation"], file["translation"])
-            return Tracked(motion, file["displacement"], file["sigma"]), float(file["seconds"])
+    if is_file(path):
+        # A damaged file may raise anything: then that is done again.
+        with (
+            contextlib.suppress(Exception),
+            path.open("rb") as stored,
+            np.load(stored, allow_pickle=False) as file,
+        ):
+            before = RigidMotion(file["rotation"], file["translation"])
+            return Tracked(before, file["displacement"], file["sigma"]), float(file["seconds"])
     start = time.perf_counter()
     tracked = TRACKERS[name](case, motion, progress)
     seconds = time.perf_counter() - start
