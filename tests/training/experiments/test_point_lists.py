@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
-from softtissue_training.experiments.coordinates import convert_coordinates
 from softtissue_training.experiments.fcsv import write_fcsv
-from softtissue_training.experiments.labelled_points import LabelledPoints, match_labels
+from softtissue_training.experiments.labelled_points import LabelledPoints
 from softtissue_training.experiments.markups_json import write_markups_json
 from softtissue_training.experiments.point_lists import read_points
 
@@ -266,32 +265,6 @@ def test_damaged_files_raise_nothing_else(tmp_path, name):
     assert outcomes == {True, "one sentence"}
 
 
-def test_same_labels_make_pairs():
-    first = LabelledPoints(("a", "b"), np.array([[1.0, 0, 0], [2.0, 0, 0]]))
-    second = LabelledPoints(("b", "a"), np.array([[20.0, 0, 0], [10.0, 0, 0]]))
-    labels, before, after = match_labels(first, second)
-    assert labels == ("a", "b")
-    np.testing.assert_array_equal(after[:, 0], 10.0 * before[:, 0])
-    with pytest.raises(
-        InvalidInputError, match="markers: expected the same labels in both lists, got c in one"
-    ):
-        match_labels(first, LabelledPoints(("b", "a", "c"), np.zeros((3, 3))), "markers")
-    with pytest.raises(InvalidInputError, match="every label once in the second list, got a more than once"):
-        match_labels(first, LabelledPoints(("a", "a"), np.zeros((2, 3))))
-
-
-def test_conversion_leaves_its_input_and_refuses_what_is_no_point():
-    points = np.array([[1.0, 2.0, 3.0], [0.0, -1.0, -2.0]])
-    converted = convert_coordinates(points, "RAS", "LPS")
-    np.testing.assert_array_equal(converted, [[-1.0, -2.0, 3.0], [0.0, 1.0, -2.0]])
-    np.testing.assert_array_equal(points[0], [1.0, 2.0, 3.0])
-    np.testing.assert_array_equal(convert_coordinates(points, "LPS", "LPS"), points)
-    with pytest.raises(InvalidInputError, match="expected finite coordinates, got others at b"):
-        LabelledPoints(("a", "b"), np.array([[0, 0, 0], [np.inf, 0, 0]]))
-    with pytest.raises(InvalidInputError, match=r"expected shape \(1, 3\)"):
-        LabelledPoints(("a",), np.zeros((2, 3)))
-
-
 MARKED = [b"\xef\xbb\xbf", b"\xff\xfe", b"\xfe\xff"]
 
 
@@ -303,61 +276,6 @@ def test_marks_of_encodings_are_no_content(tmp_path, name, mark):
     found = read(tmp_path, name, mark + text.encode(encoding), unit_m=1e-3)
     assert found.labels == ("dome", "tip")
     np.testing.assert_allclose(found.points, LPS_MM / 1000.0, rtol=0.0, atol=1e-15)
-
-
-@pytest.mark.parametrize("yes", ["1", "True", "TRUE", "yes", "1.0", "WAHR"])
-@pytest.mark.parametrize("no", ["0", "False", "no", "0.0", "FALSCH"])
-def test_flags_may_be_words(tmp_path, yes, no):
-    content = f"label,x,y,z,defined\nA,1,2,3,{yes}\nB,0,0,0,{no}\nC,4,5,6,{yes}\n"
-    assert read(tmp_path, "a.csv", content, 1.0).labels == ("A", "C")
-
-
-def test_labels_and_comments_that_begin_with_a_hash(tmp_path):
-    content = 'label,x,y,z\n# two left out:\n# A,1,2,3\n# B,1,2,3\n"#1",4,5,6\n##\n#end\n'
-    found = read(tmp_path, "a.csv", content, 1.0)
-    assert found.labels == ("#1",)
-    np.testing.assert_array_equal(found.points, [[4, 5, 6]])
-
-
-@pytest.mark.parametrize("header", ["# z, y, x", "#label,z,y,x\n", "# from numpy\n# z,y,x"])
-def test_a_comment_above_the_rows_may_be_the_header(tmp_path, header):
-    row = "A,1,2,3" if "label" in header else "1,2,3"
-    found = read(tmp_path, "a.csv", f"{header}\n{row}\n", 1.0)
-    np.testing.assert_array_equal(found.points, [[3, 2, 1]])
-    found = read(tmp_path, "a.csv", "# r,a,s\n1,2,3\n", 1.0, "LPS")
-    np.testing.assert_array_equal(found.points, [[-1, -2, 3]])
-
-
-@pytest.mark.parametrize("rows", ["A,1,2,3,\n", "A,1,2,3,,,\n"])
-def test_separators_at_the_end_of_a_row_do_not_matter(tmp_path, rows):
-    found = read(tmp_path, "a.csv", "label,x,y,z\n" + rows, 1.0)
-    np.testing.assert_array_equal(found.points, [[1, 2, 3]])
-
-
-WRONG_ROWS = {
-    "decimal commas between commas": ("label,x,y,z\nA,12,500,-3,250,7,000\n", "line 2: expected 4 columns, got 7"),
-    "the same without a header": ("1,2,3\n12,5,3,2,7,1\n", "line 2: expected 3 columns, got 6; numbers with"),
-    "one field more": ("x,y,z\n1,2,3\n1,2,3,4\n", "line 3: expected 3 columns, got 4"),
-    "one field less": ("x,y,z\n1,2,3\n1,2\n", "line 3: expected 3 columns, got 2"),
-    "a label with a comma": ("label;x;y;z\nA;1;2;3\nB;1;2;3;4\n", "line 3: expected 4 columns, got 5"),
-    "a flag that is none": ("x,y,z,defined\n1,2,3,maybe\n", "line 2: expected defined to be 1 or 0, .* got 'maybe'"),
-    "a flag that is empty": ("x,y,z,defined\n1,2,3,1\n1,2,3,\n", "line 3: expected defined to be .* got ''"),
-    "a label that begins with #": ("label,x,y,z\n#1,1,2,3\nA,1,2,3\n", "line 2: expected a comment or a row"),
-    "the same in the last row": ("A;1;2;3\n#2;1;2;3\n", "line 2: expected a comment or a row"),
-    "points and commas": ("x;y;z\n1.234;2,5;3\n", "line 2: .* got both, '1.234, 2,5, 3'"),
-    "points and commas in two rows": ("x;y;z\n1,2;2;3\n1.2;2;3\n", "line 3: expected decimal points or decimal commas"),
-    "thousands": ("x;y;z\n1.234,5;2;3\n", "line 2: expected decimal points or decimal commas"),
-    "underscores": ("x;y;z\n1_000;2;3\n", "line 2: expected three finite coordinates"),
-    "a column twice": ("x,y,z,x\n1,2,3,4\n", "line 1: expected each column once, got 'x' again"),
-    "quoted decimal commas": ('label,x,y,z\nA,"1,5",2,3\n', "line 2: expected three finite coordinates"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", WRONG_ROWS)
-def test_rows_that_cannot_be_meant_are_named(tmp_path, name):
-    content, message = WRONG_ROWS[name]
-    with pytest.raises(InvalidInputError, match=message):
-        read(tmp_path, "a.csv", content, 1.0)
 
 
 def test_fcsv_with_decimal_commas_is_refused(tmp_path):
