@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -59,8 +60,11 @@ def read_isolated(path: Path, expected: str) -> dict[str, NDArray[Any]]:
             ) from error
         printed = (done.stderr.strip().splitlines() or ["nothing"])[-1]
         if done.returncode == 0 and target.is_file():
-            with np.load(target) as arrays:
-                return dict(arrays)
+            try:
+                with np.load(target) as arrays:
+                    return dict(arrays)
+            except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:  # no room for all of it, say
+                raise MeshError(f"expected {expected}, got a result that is cut off") from error
     _log.debug("reading %s ended with exit code %d, %s", path, done.returncode, printed)
     why = printed if done.returncode == UNREADABLE else "damaged, cut off or too large"
     raise MeshError(f"expected {expected}, got a file that cannot be read as such: {why}")
