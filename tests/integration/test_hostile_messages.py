@@ -113,7 +113,6 @@ SIZES = [
     {"width": LARGEST},
     {"height": LARGEST},
     {"height": LARGEST, "width": LARGEST, "point_step": LARGEST, "row_step": LARGEST},
-    {"row_step": LARGEST},
 ]
 
 
@@ -122,9 +121,16 @@ def test_absurd_sizes_are_refused(client, scene, sizes):
     cloud = scene.cloud(next(stamps))
     for name, value in sizes.items():
         setattr(cloud, name, value)
-    if sizes == {"row_step": LARGEST}:  # says nothing in a cloud of one row
-        cloud.height, cloud.width = 2, cloud.width // 2
     refused_status(client, cloud)
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_absurd_row_step_matters_not_where_all_other_sizes_agree(client, scene, rows):
+    cloud = scene.cloud(stamp := next(stamps))
+    cloud.height, cloud.width, cloud.row_step = rows, cloud.width // rows, LARGEST
+    client.clouds.publish(cloud)
+    assert (client.status_of(stamp).level, client.status_of(stamp).points_used) == (OK, len(scene.points))
+    client.answer_of(stamp)
 
 
 @pytest.mark.parametrize(
