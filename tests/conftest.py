@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from machine import AlonePlugin
+from alone import AlonePlugin
 from recorded_data import RECORDED
 from ros_domain import environment_of, reserved
 
@@ -20,7 +20,7 @@ def pytest_xdist_auto_num_workers(config):
 
 
 def pytest_configure(config):
-    config.pluginmanager.register(AlonePlugin())
+    config.pluginmanager.register(AlonePlugin(config))
     if config.getoption("numprocesses", None):
         # For the processes to come: beside each other they would only wait for each other's threads.
         os.environ.setdefault("OMP_NUM_THREADS", "1")

@@ -276,7 +276,8 @@ def test_an_organ_is_loaded_once_for_cases_that_share_it(data_folder):
     assert method.loaded == [first.organ.digest, other.organ.digest]
 
 
-def test_the_products_estimators_answer_through_their_interface(data_folder, tmp_path):
+def test_the_products_estimators_answer_through_their_interface(data_folder, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # others add to the one of the run
     weights = tmp_path / "own.safetensors"
     spec = NetworkSpec(spacing=0.30 / 16, architecture=UNetArchitecture(widths=(4, 4, 4, 8)))
     save_checkpoint(weights, UNet(spec.architecture), spec, {"command": "train it"})
