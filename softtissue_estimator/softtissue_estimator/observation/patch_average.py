@@ -7,9 +7,11 @@ from scipy.sparse import csc_array
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.observation.rigid import RigidMotion, fit_rigid
 from softtissue_estimator.organ.mesh import FloatArray, IntArray, sum_by_index
 from softtissue_estimator.organ.surface_lookup import SurfaceLookup
 
+_ROTATION_PRIOR_RAD = 0.5  # standard deviation of the rotation where few points leave it open
 _SMALLEST_SIGMA_M = 1e-5  # no sensor is surer; a point that claims zero would outweigh all others
 _OUTLIER_DEVIATIONS = 6.0  # standard deviations from a patch's mean from which a point is weighted down
 _STUDENT_FREEDOM = 4.0  # degrees of freedom: heavy tails, and still a finite variance
@@ -33,6 +35,22 @@ class ObservedPatches:
     def precision_with(self, model_sigma_m: float) -> FloatArray:
         """Inverse variance (c,) 1/m^2 where all points of a patch share an error of the model."""
         return np.asarray(1.0 / (1.0 / self.precision + model_sigma_m**2))
+
+
+def fit_patches(patches: ObservedPatches, model_sigma_m: float) -> RigidMotion:
+    """Fit the rigid motion of observed patches, with a prior against rotation.
+
+    Parameters
+    ----------
+    model_sigma_m : float
+        m; the error that all points of a patch share. Patches are weighted by their inverse variances with it.
+    """
+    return fit_rigid(
+        patches.reference,
+        patches.reference + patches.displacement,
+        patches.precision_with(model_sigma_m),
+        _ROTATION_PRIOR_RAD,
+    )
 
 
 def average_patches(observation: Observation, lookup: SurfaceLookup) -> ObservedPatches:

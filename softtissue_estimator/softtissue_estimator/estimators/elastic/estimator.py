@@ -12,13 +12,10 @@ from softtissue_estimator.estimators.elastic.tracking import ElasticTracker
 from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progress, silent
 from softtissue_estimator.inference.device import choose_device, device_stopwatch, one_thread
 from softtissue_estimator.observation.observation import Observation
-from softtissue_estimator.observation.patch_average import ObservedPatches, average_patches
-from softtissue_estimator.observation.rigid import fit_rigid
+from softtissue_estimator.observation.patch_average import ObservedPatches, average_patches, fit_patches
 from softtissue_estimator.organ.mesh import FloatArray
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
-
-ROTATION_PRIOR_RAD = 0.5  # standard deviation of the rotation where few points leave it open
 
 
 class ElasticEstimate(Estimate):
@@ -134,12 +131,7 @@ class ElasticEstimator(Estimator):
         patches = average_patches(observation, model.lookup)
         watch.lap("match")
         least = self._config.model_sigma_m
-        motion = fit_rigid(
-            patches.reference,
-            patches.reference + patches.displacement,
-            patches.precision_with(least),
-            ROTATION_PRIOR_RAD,
-        )
+        motion = fit_patches(patches, least)
         watch.lap("rigid")
         solver = Solver(model, patches, motion, self._config.prior_sigma_m, least)
         posterior = solver.solve() if self._tracker is None else self._tracker.answer(solver)

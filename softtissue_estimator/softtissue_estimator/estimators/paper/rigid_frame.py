@@ -11,25 +11,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from softtissue_estimator.observation.patch_average import ObservedPatches, average_groups
-from softtissue_estimator.observation.rigid import RigidMotion, fit_rigid
+from softtissue_estimator.observation.patch_average import ObservedPatches, average_groups, fit_patches
+from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import FloatArray
 from softtissue_estimator.organ.surface_lookup import CELL_M, PATCH_CELLS
 
 ORGAN, RIGID = "organ", "rigid"
 FRAMES = (ORGAN, RIGID)
-ROTATION_PRIOR_RAD = 0.5
 _PATCH_SIGMA_M = 0.0005  # what all points of a patch have in common: the fit hardly depends on it
 
 
 def fit_frame(patches: ObservedPatches) -> RigidMotion:
     """Fit the rigid motion of observed patches, weighted by their inverse variances, with a prior against rotation."""
-    return fit_rigid(
-        patches.reference,
-        patches.reference + patches.displacement,
-        patches.precision_with(_PATCH_SIGMA_M),
-        ROTATION_PRIOR_RAD,
-    )
+    return fit_patches(patches, _PATCH_SIGMA_M)
 
 
 def fit_frame_of_points(reference: FloatArray, displacement: FloatArray, sigma_m: float) -> RigidMotion:
