@@ -72,6 +72,10 @@ def cached_arrays(
     if stored is not None:
         return stored
     arrays = compute()
+    # Another process may have been faster, with another result where chance has a part in it: all take the first.
+    stored = _read(path, key, fits)
+    if stored is not None:
+        return stored
     _write(path, key, arrays)
     return arrays
 

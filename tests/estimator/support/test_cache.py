@@ -238,3 +238,17 @@ def test_relative_cache_home_is_ignored(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
     monkeypatch.setenv("HOME", str(tmp_path))
     assert cache_folder() == tmp_path / ".cache" / "softtissue_estimator"
+
+
+def test_of_two_that_compute_at_once_both_take_the_first_result(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+    def result(value):
+        return {"value": np.array([value])}
+
+    def slower():
+        cached_arrays("thing", "digest", 1, {}, lambda: result(1.0))  # another process, meanwhile
+        return result(2.0)
+
+    for compute in (slower, slower):
+        assert cached_arrays("thing", "digest", 1, {}, compute)["value"].tolist() == [1.0]
