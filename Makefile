@@ -1,6 +1,7 @@
 # The commands of this repository; `make help` lists them.
 
 PYTHON ?= python3.11
+# make build TORCH=cuda: PyTorch's CUDA build, gigabytes, also where there is no NVIDIA GPU.
 # For example: make test TESTS=tests/estimator PYTEST_ARGS="-k organ -x"; make demo DEMO_ARGS=--help.
 TESTS ?= tests
 PYTEST_ARGS ?=
@@ -14,7 +15,7 @@ VENV_STAMP := .venv/.installed
 BUILD_STAMP := ros2_ws/install/.built
 
 VENV_INPUTS := constraints.txt $(wildcard requirements*.txt) $(wildcard training/pyproject.toml training/setup.py) \
-	scripts/check_tools scripts/patch_ros_wheels.py scripts/setup_venv scripts/free_gmsh_of_window.py
+	scripts/check_tools scripts/check_torch scripts/patch_ros_wheels.py scripts/setup_venv scripts/free_gmsh_of_window.py
 # Python modules are linked into the workspace, so that editing them needs no build. Folders are listed beside their
 # files: their time changes when a file comes or goes.
 BUILD_INPUTS := scripts/build_workspace scripts/env.sh \

@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -59,6 +60,49 @@ def test_complete_machine_passes(tools):
     tool(tools, "cmake", "echo 'cmake version 4.1.0'")
     tool(tools, "c++", "exit 0")
     result = check_tools(tools, sys.executable)
+    assert (result.returncode, result.stderr) == (0, "")
+
+
+TORCH_PIN = re.search(
+    r"^torch==(\S+)$", (SCRIPTS.parent / "constraints.txt").read_text(encoding="utf-8"), re.M
+)[1]
+
+
+def check_torch(folder, installed="", available="", **settings):
+    """Run the check with a Python that has one torch and whose pip finds another; return pip's calls too."""
+    calls = folder / "calls"
+    tool(
+        folder,
+        "python",
+        f"""if [ "$1" = -c ]; then test "{installed}" = "$3"; exit; fi
+echo "$@" >> {calls}
+case "$*" in *" torch=={available}") exit 0;; *) echo noise >&2; exit 1;; esac""",
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "TORCH"} | settings
+    result = subprocess.run(
+        [SCRIPTS / "check_torch", folder / "python"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return result, calls.read_text(encoding="utf-8") if calls.is_file() else ""
+
+
+@pytest.mark.skipif(Path("/dev/nvidiactl").exists(), reason="an NVIDIA GPU is here: the CUDA build is of use")
+def test_cuda_build_is_refused_in_a_sentence_before_it_comes(tmp_path):
+    result, calls = check_torch(tmp_path, available=TORCH_PIN)
+    assert result.returncode == 1
+    assert result.stderr.startswith(f"error: pip finds no CPU build of PyTorch (torch=={TORCH_PIN}+cpu)")
+    assert result.stderr.count("\n") == 1
+    assert "--dry-run --no-deps" in calls
+
+
+@pytest.mark.parametrize(
+    "case", [{"available": f"{TORCH_PIN}+cpu"}, {"installed": TORCH_PIN}, {"TORCH": "cuda"}], ids=str
+)
+def test_cpu_build_what_is_installed_and_a_wanted_cuda_build_pass(tmp_path, case):
+    result, _ = check_torch(tmp_path, **case)
     assert (result.returncode, result.stderr) == (0, "")
 
 
