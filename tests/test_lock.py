@@ -1,0 +1,45 @@
+"""The lock files hold what is installed at run time, in the versions of constraints.txt, with a hash for every file."""
+
+import re
+
+import pytest
+from packaging.version import Version
+
+from installed_packages import ROOT, RUN_TIME, named, needed, pinned
+
+LOCKS = {file: file.replace(".txt", ".lock") for file in RUN_TIME}
+CONSTRAINTS = pinned("constraints.txt")
+
+
+@pytest.mark.parametrize("lock", LOCKS.values())
+def test_lock_has_the_versions_of_the_constraints(lock):
+    locked = {name: Version(version).public for name, version in pinned(lock).items()}
+    assert len(locked) > 30
+    assert locked == {name: CONSTRAINTS.get(name) for name in locked}, "run scripts/lock"
+
+
+@pytest.mark.parametrize("requirements", LOCKS)
+def test_lock_holds_what_is_installed_and_no_more(requirements):
+    assert set(pinned(LOCKS[requirements])) == needed(named(requirements)), "run scripts/lock"
+
+
+@pytest.mark.parametrize("lock", LOCKS.values())
+def test_every_package_has_hashes_and_no_place_is_named(lock):
+    text = (ROOT / lock).read_text(encoding="utf-8")
+    entry = r"[\w.-]+==\S+(?: \\\n    --hash=sha256:[0-9a-f]{64})+\n"
+    assert re.fullmatch(rf"# .*\n(?:{entry})+", text)
+
+
+def test_torch_is_the_cpu_build_and_nothing_of_cuda_is_locked():
+    locked = pinned(LOCKS["requirements.txt"])
+    assert locked["torch"].endswith("+cpu")
+    assert [name for name in locked if re.match("nvidia|cuda|triton", name)] == []
+
+
+def test_what_both_locks_hold_is_the_same_so_that_they_install_together():
+    """Pip takes only the hashes that both name."""
+    entries = re.compile(r"^(\S+) \\\n((?: +--hash=\S+(?: \\)?\n)+)", re.MULTILINE)
+    both = [dict(entries.findall((ROOT / lock).read_text(encoding="utf-8"))) for lock in LOCKS.values()]
+    shared = both[0].keys() & both[1].keys()
+    assert any(pin.startswith("numpy==") for pin in shared)
+    assert {pin: both[0][pin] for pin in shared} == {pin: both[1][pin] for pin in shared}
