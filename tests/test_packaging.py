@@ -7,10 +7,14 @@ import sys
 import zipfile
 from email.message import Message
 from email.parser import Parser
+from fnmatch import fnmatch
 from xml.etree import ElementTree
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
+from installed_packages import named
 from test_dependencies import CORE, ROOT, TRAINING
 
 PACKAGES = {"softtissue_estimator": CORE, "training": TRAINING}
@@ -88,3 +92,16 @@ def test_ros_knows_the_same_version_and_licence(wheels):
     manifest = ElementTree.parse(ROOT / "softtissue_estimator" / "package.xml").getroot()
     assert manifest.findtext("version") == said["Version"]
     assert manifest.findtext("license") == said["License"]
+
+
+def test_every_dependency_has_its_line_of_why(wheels):
+    needs = [need for package in PACKAGES for need in metadata(wheels[package]).get_all("Requires-Dist")]
+    names = {canonicalize_name(Requirement(need).name) for need in needs}
+    names |= {
+        canonicalize_name(need.name) for file in ROOT.glob("requirements*.txt") for need in named(file.name)
+    }
+    page = (ROOT / "docs" / "reference" / "dependencies.md").read_text(encoding="utf-8")
+    said = [canonicalize_name(word) for word in re.findall(r"(?<![\w/`])[a-zA-Z][\w*-]+", page)]
+    assert {"vtk", "gmsh", "uv", "ros-rclpy", "mkdocs"} <= names
+    unsaid = [name for name in names if not any(fnmatch(name, word) for word in said)]
+    assert sorted(set(unsaid) - {"softtissue-estimator"}) == []
