@@ -3,7 +3,7 @@
 import sys
 import time
 
-from softtissue_estimator.ros.runtime import Spinner, StopRequest, leave, limit_threads
+from softtissue_estimator.ros.runtime import Spinner, StopRequest, leave, limit_threads, refusal_of_ros
 
 # After a signal, s: how long callbacks and the estimate in work are waited for, and when the process ends at last.
 PATIENCE_S = 1.5
@@ -30,8 +30,8 @@ def main() -> None:
         leave(stop.exit_code)
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # rclpy's own classes for bad arguments are private
-        leave(_complain(f"arguments: {error}"))
+    except Exception as error:
+        leave(_complain(refusal_of_ros(error) or f"arguments: {error}"))
 
     def crash(error: BaseException) -> None:
         traceback.print_exception(error)
@@ -41,6 +41,10 @@ def main() -> None:
         node = EstimatorNode(crash)
     except SoftTissueError as error:
         leave(_complain(str(error)))
+    except Exception as error:
+        if (refusal := refusal_of_ros(error)) is None:
+            raise
+        leave(_complain(refusal))  # SROS2 without keys, say
     node.get_logger().info(profile)
 
     def start() -> None:

@@ -153,6 +153,15 @@ class Spinner:
                     raise
 
 
+def refusal_of_ros(error: BaseException) -> str | None:
+    """Return in one line what ROS 2 refuses, if the error is rclpy's, whose classes are private; otherwise None."""
+    if not type(error).__module__.startswith("rclpy."):
+        return None
+    from softtissue_estimator.support.sentences import one_sentence
+
+    return one_sentence(f"ROS 2 refuses: {error}")
+
+
 def leave(exit_code: int) -> NoReturn:
     """End the process at once; children and temporary files are removed, threads are not waited for.
 
@@ -190,11 +199,14 @@ def run_tool(
 
     options = parse(remove_ros_args(sys.argv)[1:])
     use_profile()
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         code = run(options, stop)
-    except SoftTissueError as error:
-        print(f"error: {error}", file=sys.stderr)
+    except Exception as error:
+        refusal = str(error) if isinstance(error, SoftTissueError) else refusal_of_ros(error)
+        if refusal is None:
+            raise
+        print(f"error: {refusal}", file=sys.stderr)
         code = 2
     rclpy.try_shutdown()
     for number in (signal.SIGINT, signal.SIGTERM):

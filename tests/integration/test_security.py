@@ -1,0 +1,117 @@
+"""The shipped policy of SROS2 is that of what the node opens, and where security is enforced nothing runs without it.
+
+Keys are not tried: the ROS 2 wheels have a Fast DDS without security (`docs/how-to/secure_the_node.md`).
+"""
+
+import os
+import xml.etree.ElementTree as ElementTree
+from fnmatch import fnmatchcase
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
+pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
+
+from integration.harness import Client, NodeProcess, executable, write_organ
+from softtissue_estimator.support.resources import resource
+
+NODE = "softtissue_estimator"
+ROLES = ("tracker", "registration", "operator", "display")
+# Of the node's own expressions: what a full installation has on top.
+ONLY_WITH_TF2 = {"/tf", "/tf_static"}
+ACTS = {("topics", "publish"), ("topics", "subscribe"), ("services", "reply"), ("services", "request")}
+
+
+def allowed(enclave: str) -> dict[str, set[str]]:
+    """Expressions of full names that the policy allows an enclave, by what it may do."""
+    policy = ElementTree.parse(resource("config", "security", "policy.xml")).getroot()
+    (profile,) = policy.findall(f"enclaves/enclave[@path='/softtissue/{enclave}']/profiles/profile")
+    found: dict[str, set[str]] = {act: set() for _, act in ACTS}
+    for part in profile:
+        for act, rule in part.attrib.items():
+            assert ((part.tag, act) in ACTS, rule) == (True, "ALLOW")
+            base = f"{profile.get('ns')}{profile.get('node')}"
+            found[act] |= {name.text.replace("~", base) for name in part}
+    return found
+
+
+def names(pairs) -> set[str]:
+    return {name for name, _types in pairs}
+
+
+def test_policy_has_the_node_and_its_roles_and_allows_what_it_names_alone():
+    policy = ElementTree.parse(resource("config", "security", "policy.xml")).getroot()
+    assert [e.get("path") for e in policy.iter("enclave")] == [f"/softtissue/{e}" for e in ("node", *ROLES)]
+    assert {
+        rule for part in policy.iter() for act, rule in part.attrib.items() if ("topics", act) in ACTS
+    } == {"ALLOW"}
+    assert all(name.text.startswith(("/", "~/")) and name.text != "/*" for name in policy.iter("topic"))
+
+
+def test_node_may_do_what_it_does_and_nothing_else(tmp_path, domain):
+    organ = write_organ(tmp_path / "organ")
+    with NodeProcess(domain, tmp_path, {"organ": organ, "estimator": "elastic"}), Client(domain) as client:
+        client.wait_until_connected()
+        graph = client.node
+        opened = {
+            "publish": names(graph.get_publisher_names_and_types_by_node(NODE, "/")),
+            "subscribe": names(graph.get_subscriber_names_and_types_by_node(NODE, "/")),
+            "reply": names(graph.get_service_names_and_types_by_node(NODE, "/")),
+            "request": names(graph.get_client_names_and_types_by_node(NODE, "/")),
+        }
+    policy = allowed("node")
+    policy["subscribe"] -= ONLY_WITH_TF2 - opened["subscribe"]
+    assert policy == opened
+
+
+def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
+    node, roles = allowed("node"), {role: allowed(role) for role in ROLES}
+
+    def may(role: str, act: str, name: str) -> bool:
+        return any(fnmatchcase(name, expression) for expression in roles[role][act])
+
+    def who(act: str, name: str) -> set[str]:
+        return {role for role in ROLES if may(role, act, name)}
+
+    assert who("publish", "/surface_points") == who("publish", "/correspondences") == {"tracker"}
+    assert who("publish", "/registration") == {"registration"}
+    assert who("request", f"/{NODE}/warp_points") == {"display"}
+    assert who("subscribe", f"/{NODE}/deformed_points") == {"display"}
+    for service in node["reply"] - {f"/{NODE}/warp_points"}:
+        assert who("request", service) == {"operator"}, service
+    for topic in node["publish"]:
+        assert who("subscribe", topic) - {"tracker", "registration"}, topic
+        if topic.startswith(f"/{NODE}/") or topic == "/diagnostics":
+            assert who("publish", topic) == set(), topic
+
+
+@pytest.fixture
+def enforced(monkeypatch, tmp_path):
+    """A keystore with an empty enclave of the node, which security is enforced with."""
+    keystore = tmp_path / "keystore"
+    (keystore / "enclaves" / "softtissue" / "node").mkdir(parents=True)
+    for name, value in (("ENABLE", "true"), ("STRATEGY", "Enforce"), ("KEYSTORE", str(keystore))):
+        monkeypatch.setenv(f"ROS_SECURITY_{name}", value)
+    return keystore
+
+
+@pytest.mark.parametrize("program", ["node", "score"])
+@pytest.mark.parametrize("enclave", ["/softtissue/node", "/softtissue/nobody"])
+def test_nothing_starts_unprotected_where_security_is_enforced(enforced, tmp_path, domain, enclave, program):
+    """Of whichever kind the middleware is: it has no security, or finds no keys."""
+    command = [executable(program), "--ros-args", "--enclave", enclave]
+    with NodeProcess(domain, tmp_path, {}, program=command) as node:
+        assert node.wait(60.0) == 2
+        (line,) = node.text.splitlines()
+    assert line.startswith("error: ROS 2 refuses: ")
+    if enclave.endswith("nobody"):
+        assert f"{enforced}/enclaves{enclave}' does not exist" in line
+
+
+def test_same_program_runs_without_it(tmp_path, domain):
+    assert "ROS_SECURITY_ENABLE" not in os.environ
+    organ = write_organ(tmp_path / "organ")
+    command = [executable("node"), "--ros-args", "--enclave", "/softtissue/node"]
+    with NodeProcess(domain, tmp_path, {"organ": organ, "estimator": "elastic"}, program=command) as node:
+        node.wait_for_text("active")
+        assert node.stop() == 0
