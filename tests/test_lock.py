@@ -30,7 +30,7 @@ def test_lock_holds_what_is_installed_and_no_more(requirements):
 @pytest.mark.parametrize("lock", LOCKS.values())
 def test_every_package_has_hashes_and_no_place_is_named(lock):
     text = (ROOT / lock).read_text(encoding="utf-8")
-    entry = r"[\w.-]+==\S+(?: \\\n    --hash=sha256:[0-9a-f]{64})+\n"
+    entry = r"[\w.-]+(?:\[[\w,-]+\])?==\S+(?: \\\n    --hash=sha256:[0-9a-f]{64})+\n"
     assert re.fullmatch(rf"# .*\n(?:{entry})+", text)
 
 
