@@ -37,5 +37,7 @@ def needed(requirements: list[Requirement]) -> set[str]:
 
 def pinned(file: str) -> dict[str, str]:
     """Read the versions that a file of pins states, by the names of the packages."""
-    pins = re.findall(r"^([\w.-]+)(?:\[[\w,-]+\])?==(\S+)", (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE)
+    pins = re.findall(
+        r"^([\w.-]+)(?:\[[\w,-]+\])?==(\S+)", (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE
+    )
     return {canonicalize_name(name): version for name, version in pins}
