@@ -1,10 +1,9 @@
 """The shipped policy of SROS2 is that of what the node opens, and where security is enforced nothing runs without it.
 
-Keys are not tried: the ROS 2 wheels have a Fast DDS without security (`docs/how-to/secure_the_node.md`).
+The ROS 2 wheels have a Fast DDS without security: keys are tried in test_security_keys.py.
 """
 
 import os
-import xml.etree.ElementTree as ElementTree
 from fnmatch import fnmatchcase
 
 import pytest
@@ -13,39 +12,25 @@ pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
 from integration.harness import Client, NodeProcess, executable, write_organ
-from softtissue_estimator.support.resources import resource
+from integration.sros2_policy import ACTS, ENCLAVES, allowed, policy
 
 NODE = "softtissue_estimator"
-ROLES = ("tracker", "registration", "operator", "display")
+ROLES = [enclave for enclave in ENCLAVES if enclave != "node"]
 # Of the node's own expressions: what a full installation has on top.
 ONLY_WITH_TF2 = {"/tf", "/tf_static"}
-ACTS = {("topics", "publish"), ("topics", "subscribe"), ("services", "reply"), ("services", "request")}
-
-
-def allowed(enclave: str) -> dict[str, set[str]]:
-    """Expressions of full names that the policy allows an enclave, by what it may do."""
-    policy = ElementTree.parse(resource("config", "security", "policy.xml")).getroot()
-    (profile,) = policy.findall(f"enclaves/enclave[@path='/softtissue/{enclave}']/profiles/profile")
-    found: dict[str, set[str]] = {act: set() for _, act in ACTS}
-    for part in profile:
-        for act, rule in part.attrib.items():
-            assert ((part.tag, act) in ACTS, rule) == (True, "ALLOW")
-            base = f"{profile.get('ns')}{profile.get('node')}"
-            found[act] |= {name.text.replace("~", base) for name in part}
-    return found
 
 
 def names(pairs) -> set[str]:
     return {name for name, _types in pairs}
 
 
-def test_policy_has_the_node_and_its_roles_and_allows_what_it_names_alone():
-    policy = ElementTree.parse(resource("config", "security", "policy.xml")).getroot()
-    assert [e.get("path") for e in policy.iter("enclave")] == [f"/softtissue/{e}" for e in ("node", *ROLES)]
-    assert {
-        rule for part in policy.iter() for act, rule in part.attrib.items() if ("topics", act) in ACTS
-    } == {"ALLOW"}
-    assert all(name.text.startswith(("/", "~/")) and name.text != "/*" for name in policy.iter("topic"))
+def test_policy_has_the_enclaves_and_allows_what_it_names_alone():
+    assert [e.get("path") for e in policy().iter("enclave")] == [f"/softtissue/{e}" for e in ENCLAVES]
+    parts = {
+        (part.tag, act) for part in policy().iter() for act, rule in part.attrib.items() if rule == "ALLOW"
+    }
+    assert parts == set(ACTS)
+    assert all(name.text.startswith(("/", "~/")) and name.text != "/*" for name in policy().iter("topic"))
 
 
 def test_node_may_do_what_it_does_and_nothing_else(tmp_path, domain):
@@ -59,9 +44,9 @@ def test_node_may_do_what_it_does_and_nothing_else(tmp_path, domain):
             "reply": names(graph.get_service_names_and_types_by_node(NODE, "/")),
             "request": names(graph.get_client_names_and_types_by_node(NODE, "/")),
         }
-    policy = allowed("node")
-    policy["subscribe"] -= ONLY_WITH_TF2 - opened["subscribe"]
-    assert policy == opened
+    may = allowed("node")
+    may["subscribe"] -= ONLY_WITH_TF2 - opened["subscribe"]
+    assert may == opened
 
 
 def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
