@@ -35,6 +35,13 @@ def add(commands: Commands) -> None:
         help="as in `evaluate insilico` (default: zero,rigid,rbf,fem,elastic,paper and, if there is one, hybrid)",
     )
     benchmark.add_argument(
+        "--label",
+        action="append",
+        default=[],
+        metavar="ESTIMATOR=NAME",
+        help="another name in tables, such as elastic=elastic@0.1",
+    )
+    benchmark.add_argument(
         "--compare",
         nargs="+",
         default=(),
@@ -75,7 +82,7 @@ def _benchmark(options: argparse.Namespace) -> int:
     from softtissue_training.evaluation.benchmark.pairs import parse_pairs
     from softtissue_training.evaluation.benchmark.plan import NamedSurface, make_plan
     from softtissue_training.evaluation.benchmark.run import run_benchmark
-    from softtissue_training.evaluation.methods import parse_methods
+    from softtissue_training.evaluation.methods import parse_methods, relabelled
     from softtissue_training.evaluation.streams.run import run_streams
 
     if (options.organ_surface is None) != (options.unit is None):
@@ -91,7 +98,7 @@ def _benchmark(options: argparse.Namespace) -> int:
     listed = options.estimators
     if listed is None:
         listed = "zero,rigid,rbf,fem,elastic,paper" + (",hybrid" if "hybrid" in estimator_names() else "")
-    methods = parse_methods(listed, options.device)
+    methods = relabelled(parse_methods(listed, options.device), options.label)
     plan = make_plan(suites, surfaces, quick=options.quick, count=options.count, sweep_count=options.sweep)
     pairs = parse_pairs(options.compare, [spec.label for spec in methods])
     command = shlex.join(["softtissue-train", *sys.argv[1:]])

@@ -140,8 +140,9 @@ def test_the_command_reports(finished, capsys, monkeypatch):
     out, _ = finished
     monkeypatch.setattr(planning, "make_plan", lambda *given, **options: planning.Plan((), (), PLAN))
     arguments = ["benchmark", "--suites", "real", "--quick", "--out", str(out), "--workers", "1"]
-    assert main([*arguments, "--estimators", "zero"]) == 0
-    assert "| `attached_unknown` |" in capsys.readouterr().out
+    assert main([*arguments, "--estimators", "zero", "--label", "zero=nothing"]) == 0
+    said = capsys.readouterr().out
+    assert "| `attached_unknown` |" in said and "| condition | nothing |" in said
 
 
 def test_the_streams_are_not_flat(finished):
