@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softtissue_training.evaluation.streams.answers import NOT_SAID, StreamAnswers
-from softtissue_training.evaluation.streams.measures import Shown, measure, recovery
+from softtissue_training.evaluation.streams.measures import Shown, measure, over_exact, recovery
 
 
 def shown(
@@ -93,3 +93,11 @@ def test_recovery_is_the_time_back_to_the_exact_stream():
     assert (found["never"], found["streams"]) == (1, 3)
     assert found["within_1_s"] == pytest.approx(2 / 3)
     assert recovery(exact, exact, 0.25) is None
+
+
+def test_errors_are_set_against_those_of_the_exact_stream():
+    rows = {"exact": measure([shown([0.0, 2.0])]), "drift_6": measure([shown([0.0, 5.0])])}
+    rows["jump"] = measure([shown([0.0, 1.0], answered=[False, False])])
+    found = over_exact(rows)
+    assert [row["over_exact"] for row in found.values()] == [1.0, pytest.approx(2.5), None]
+    assert found["drift_6"]["errors"] == rows["drift_6"]["errors"]

@@ -22,12 +22,12 @@ PLAN = StreamPlan(REAL_SEED, 2, COARSE_MOTION, COARSE_STREAM)
 STRIDE = 5
 
 
-def run(out, listed="zero,rigid", plan=PLAN, workers=0):
+def run(out, listed="zero,rigid", plan=PLAN):
     return run_streams(
         plan,
         parse_methods(listed),
         out,
-        workers=workers,
+        workers=0,
         stride=STRIDE,
         show_progress=False,
         command="the command",
@@ -41,7 +41,7 @@ def summary(out):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     out = tmp_path_factory.mktemp("real")
-    return out, run(out, workers=1)
+    return out, run(out)
 
 
 def test_every_condition_is_counted_from_the_streams(finished):
@@ -136,7 +136,7 @@ def test_the_plan_has_twenty_organs_or_four():
 
 
 def test_the_command_reports(finished, capsys, monkeypatch):
-    """Every tenth frame is asked for, as without tests."""
+    """Every tenth frame is asked for, as without tests, and a process answers."""
     out, _ = finished
     monkeypatch.setattr(planning, "make_plan", lambda *given, **options: planning.Plan((), (), PLAN))
     arguments = ["benchmark", "--suites", "real", "--quick", "--out", str(out), "--workers", "1"]

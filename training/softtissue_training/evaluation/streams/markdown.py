@@ -80,6 +80,7 @@ def _every_frame(rows: Summary) -> str:
     header = [
         "condition",
         "mean / 95 % / max, mm",
+        "mean over exact",
         "over 30 mm from anything seen",
         "mean sigma, mm",
         "over rms error / sqrt(3)",
@@ -107,8 +108,11 @@ def _cells(row: Summary) -> list[str]:
             f"{found['within_two_sigma']:.1%}",
             f"{found['gross']:.2%}",
         ]
+    ratio = row["over_exact"]
     return [
-        *spread,
+        spread[0],
+        "-" if ratio is None else f"{ratio:.1f}",
+        spread[1],
         *calibration,
         f"{row['answered']:.1%}",
         "not said" if row["degraded"] is None else f"{row['degraded']:.1%}",

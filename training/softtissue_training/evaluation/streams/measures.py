@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -121,6 +121,20 @@ def _calibration(error: FloatArray, sigma: FloatArray) -> dict[str, float] | Non
         "within_one_sigma": float((chi <= 1.0).mean()),
         "within_two_sigma": float((chi <= 2.0).mean()),
         "gross": float(((lengths > GROSS_ERROR_M) & (sigma < GROSS_SIGMA_M)).mean()),
+    }
+
+
+def over_exact(rows: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Add to the figures of each condition, as `over_exact`, its mean error over that of `exact`; None without both."""
+    exact = rows["exact"]["errors"]
+    return {
+        name: row
+        | {
+            "over_exact": None
+            if row["errors"] is None or exact is None
+            else row["errors"]["mean_mm"] / exact["mean_mm"]
+        }
+        for name, row in rows.items()
     }
 
 

@@ -18,7 +18,13 @@ from softtissue_training.evaluation.streams.answers import MEMORYLESS_STRIDE
 from softtissue_training.evaluation.streams.conditions import CONDITIONS, Instance, instances
 from softtissue_training.evaluation.streams.evaluate import StreamJob, answer_all, stream_jobs
 from softtissue_training.evaluation.streams.markdown import markdown, overview
-from softtissue_training.evaluation.streams.measures import SKIPPED_SHARE, Shown, measure, recovery
+from softtissue_training.evaluation.streams.measures import (
+    SKIPPED_SHARE,
+    Shown,
+    measure,
+    over_exact,
+    recovery,
+)
 from softtissue_training.evaluation.streams.motions import make_motions
 from softtissue_training.evaluation.streams.plan import StreamPlan
 from softtissue_training.evaluation.streams.store import STREAMS_VERSION
@@ -103,7 +109,8 @@ def _summary(plan: StreamPlan, jobs: Sequence[StreamJob], stride: int) -> dict[s
             for label, rows in groups.items()
         },
         "all_frames": {
-            label: {name: measure(shown) for name, shown in groups[label].items()} for label in every_frame
+            label: over_exact({name: measure(shown) for name, shown in groups[label].items()})
+            for label in every_frame
         },
         "recovery": {
             label: {
