@@ -42,6 +42,12 @@ def add(commands: Commands) -> None:
         help="another name in tables, such as elastic=elastic@0.1",
     )
     benchmark.add_argument(
+        "--beside",
+        type=Path,
+        metavar="FILE",
+        help="real.json of an earlier run of the suite real on the same streams, whose estimators are shown too",
+    )
+    benchmark.add_argument(
         "--compare",
         nargs="+",
         default=(),
@@ -106,5 +112,14 @@ def _benchmark(options: argparse.Namespace) -> int:
         workers = options.workers
         print(run_benchmark(plan, methods, options.out, pairs=pairs, workers=workers, command=command))
     if plan.streams is not None:
-        print(run_streams(plan.streams, methods, options.out, workers=options.workers, command=command))
+        print(
+            run_streams(
+                plan.streams,
+                methods,
+                options.out,
+                workers=options.workers,
+                command=command,
+                beside=options.beside,
+            )
+        )
     return 0

@@ -13,6 +13,7 @@ from softtissue_training.evaluation.benchmark import plan as planning
 from softtissue_training.evaluation.benchmark.plan import REAL_SEED, make_plan
 from softtissue_training.evaluation.methods import parse_methods
 from softtissue_training.evaluation.streams.conditions import CONDITIONS, instances
+from softtissue_training.evaluation.streams.earlier import FIGURES
 from softtissue_training.evaluation.streams.plan import StreamPlan, organ_name
 from softtissue_training.evaluation.streams.run import run_streams
 from softtissue_training.simulation.reserved_seeds import FIRST_RESERVED_SEED
@@ -112,6 +113,31 @@ def without_time(rows):
     return {
         name: {key: value for key, value in row.items() if key != "time_ms"} for name, row in rows.items()
     }
+
+
+def test_an_earlier_run_is_shown_beside(finished, tmp_path):
+    out, _ = finished
+    path = tmp_path / "earlier.json"
+    earlier = summary(out)
+    for kind in FIGURES:
+        earlier[kind] = {f"{label}@0": rows for label, rows in earlier[kind].items()}
+    path.write_text(json.dumps(earlier), encoding="utf-8")
+    shown = run_streams(
+        PLAN, parse_methods("zero"), out, workers=0, stride=STRIDE, show_progress=False, beside=path
+    )
+    assert "| condition | zero@0 | rigid@0 | zero |" in shown
+    found = summary(out)["common_frames"]
+    assert found["rigid@0"] == earlier["common_frames"]["rigid@0"]
+    assert without_time(found["zero"]) == without_time(found["zero@0"])
+    for wrong, message in (
+        ({"digest": "0" * 64, **{kind: {} for kind in FIGURES}}, "got .* of others"),
+        ({"digest": 3}, "expected a real.json of an earlier run"),
+    ):
+        path.write_text(json.dumps(wrong), encoding="utf-8")
+        with pytest.raises(InvalidInputError, match=message):
+            run_streams(
+                PLAN, parse_methods("zero"), out, workers=0, stride=STRIDE, show_progress=False, beside=path
+            )
 
 
 def test_other_motions_are_not_mixed(finished):

@@ -16,6 +16,7 @@ from softtissue_training.evaluation.methods import SIMPLE, MethodSpec
 from softtissue_training.evaluation.report import replace_text, write_json
 from softtissue_training.evaluation.streams.answers import MEMORYLESS_STRIDE
 from softtissue_training.evaluation.streams.conditions import CONDITIONS, Instance, instances
+from softtissue_training.evaluation.streams.earlier import earlier_figures
 from softtissue_training.evaluation.streams.evaluate import StreamJob, answer_all, stream_jobs
 from softtissue_training.evaluation.streams.markdown import markdown, overview
 from softtissue_training.evaluation.streams.measures import (
@@ -45,6 +46,7 @@ def run_streams(
     command: str = "",
     paced: bool | None = None,
     stride: int = MEMORYLESS_STRIDE,
+    beside: Path | None = None,
     show_progress: bool = True,
 ) -> str:
     """Run what is missing of the suite and write its reports; returns what to print.
@@ -57,11 +59,13 @@ def run_streams(
         Processes; 0 works in this one.
     paced, stride
         See `StreamMethod`.
+    beside
+        Summary of an earlier run on the same streams, whose estimators are shown too, if they are not in this run.
 
     Raises
     ------
     SoftTissueError
-        An estimator cannot be used, or the folder holds other motions.
+        An estimator cannot be used, the folder holds other motions, or the earlier run was on other streams.
     """
     for spec in methods:
         spec.make()  # what cannot start is said before anything is simulated
@@ -69,6 +73,8 @@ def run_streams(
     hashes = make_motions(plan, out / "motions", workers=workers, show_progress=show_progress)
     simulated = time.monotonic()
     keys = [plan.stream_key(each, STREAMS_VERSION) for each in hashes]
+    streams_digest = digest(dict(zip(map(str, range(plan.organs)), keys, strict=True)))
+    earlier = {} if beside is None else earlier_figures(beside, streams_digest)
     jobs = stream_jobs(plan, keys, methods, out, paced=paced, stride=stride)
     answer_all(jobs, workers=workers, show_progress=show_progress)
     about = {
@@ -81,10 +87,12 @@ def run_streams(
         "workers": workers,
         "seconds": {"simulating": simulated - start, "answering": time.monotonic() - simulated},
         "checkpoints": {spec.label: spec.provenance() for spec in methods if spec.checkpoint is not None},
-        "digest": digest(dict(zip(map(str, range(plan.organs)), keys, strict=True))),
+        "digest": streams_digest,
         "plan": asdict(plan),
     }
     summary = about | _summary(plan, jobs, stride)
+    for kind, figures in earlier.items():
+        summary[kind] = figures | summary[kind]
     write_json(out / SUMMARY, summary)
     replace_text(out / REPORT, markdown(summary))
     return f"{overview(summary)}\n\nall figures: {out / REPORT}, {out / SUMMARY}"
