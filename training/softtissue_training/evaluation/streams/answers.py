@@ -17,6 +17,7 @@ from softtissue_estimator.organ.organ import Organ
 from softtissue_training.evaluation.case import EvaluationCase
 from softtissue_training.evaluation.methods import SIMPLE, Method, MethodSpec
 from softtissue_training.evaluation.streams.conditions import Clouds
+from softtissue_training.evaluation.streams.pace import Pace
 from softtissue_training.evaluation.streams.stream import Stream
 
 FloatArray = NDArray[np.float64]
@@ -84,7 +85,7 @@ class StreamMethod:
     spec
         Which one.
     paced
-        Wait until the next frame is due; None for estimators that improve their state meanwhile.
+        Wait until the next frame is due (`Pace`); None for estimators that improve their state meanwhile.
     stride
         Every how many frames an estimator without a history is asked.
     """
@@ -107,7 +108,7 @@ class StreamMethod:
             )
             self._estimator = create_estimator(config)
         if self.paced is None:
-            self.paced = self.spec.kind in IMPROVES_BETWEEN_FRAMES
+            self.paced = is_paced(self.spec)
 
     def answer(self, stream: Stream, clouds: Clouds) -> StreamAnswers:
         """Show all clouds in order; whatever goes wrong inside the estimator counts as refused."""
@@ -121,11 +122,10 @@ class StreamMethod:
         except Exception as error:
             return _gathered(stream, clouds, index, [_Frame(failure=_reason(error)) for _ in index])
         frames: list[_Frame] = []
-        due = time.perf_counter()
+        pace = Pace(stream.settings.interval_s)
         for number in index:
             if self.paced:
-                time.sleep(max(0.0, due - time.perf_counter()))
-                due = time.perf_counter() + stream.settings.interval_s
+                pace.wait()
             frames.append(self._frame(stream, organ, clouds, int(number)))
         return _gathered(stream, clouds, index, frames)
 
@@ -168,6 +168,11 @@ class StreamMethod:
         seconds = time.perf_counter() - start
         displacement, sigma = estimate.displacement_at(points)
         return _checked(_Frame(displacement, sigma, seconds, _degraded(estimate)))
+
+
+def is_paced(spec: MethodSpec) -> bool:
+    """Whether frames wait until they are due, where nothing else is asked for."""
+    return spec.kind in IMPROVES_BETWEEN_FRAMES
 
 
 def _degraded(estimate: Estimate) -> int:

@@ -7,16 +7,18 @@ from pathlib import Path
 
 from softtissue_training.evaluation.methods import MethodSpec
 from softtissue_training.evaluation.store import read_arrays, write_arrays
-from softtissue_training.evaluation.streams.answers import StreamAnswers
+from softtissue_training.evaluation.streams.answers import StreamAnswers, is_paced
 
 STREAMS_VERSION = 1
 """Of how streams, conditions and answers are made; whatever changes, other files are looked for."""
+_PACE_VERSION = 2
 _FIELDS = ("index", "answered", "error", "sigma", "seconds", "degraded")
 
 
 def method_key(spec: MethodSpec, paced: bool | None, stride: int) -> str:
     """Return a hash of all that an estimator's answers to a stream depend on."""
-    content = f"{STREAMS_VERSION}\0{spec.key()}\0{paced}\0{stride}"
+    waits = paced or (paced is None and is_paced(spec))
+    content = f"{STREAMS_VERSION}\0{spec.key()}\0{_PACE_VERSION if waits else paced}\0{stride}"
     return hashlib.sha256(content.encode()).hexdigest()[:16]
 
 
