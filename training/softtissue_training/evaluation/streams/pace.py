@@ -15,8 +15,8 @@ _IDLE_POLLS = 3  # one after the other, at which no other thread runs
 class Pace:
     """Frames at a fixed rate, for an estimator whose threads improve its state between them.
 
-    A frame is due when the interval has passed and the other threads of this process either rest or have computed for as
-    long as the interval is. On idle cores that is the rate itself. On busy ones, where threads get less than their
+    A frame is due when the interval has passed and the other threads of this process either rest or have computed for
+    as long as the interval is. On idle cores that is the rate itself. On busy ones, where threads get less than their
     time, frames come later, so that answers do not depend on what else runs. Elsewhere than on Linux, which alone says
     whether a thread rests, the clock decides.
 
