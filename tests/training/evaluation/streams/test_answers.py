@@ -47,6 +47,8 @@ class Counter(Estimator):
         self.moments.append(time.perf_counter())
         self.shown.append(observation)
         self.number += 1
+        if self.number == 6:
+            time.sleep(0.1)
         if self.number == 4:
             raise InvalidInputError("not the fourth")
         return Counted(self.number, self.said)
@@ -86,6 +88,7 @@ def test_every_frame_is_shown_in_order_as_the_node_would(stream, counting):
     assert np.isnan(found.error[3]).all() and np.isnan(found.sigma[3]).all()
     expected = np.array([5.0, 0.0, 0.0]) - stream.truth[4]
     assert np.allclose(found.error[4], expected) and (found.sigma[4] == 0.25).all()
+    assert found.seconds[5] > 0.1 > 10.0 * found.processor_s[5]  # it slept
     assert (found.degraded == NOT_SAID).all() and found.event == clouds.event
 
 

@@ -23,6 +23,7 @@ def shown(
         vectors,
         sigma,
         np.where(good, 0.001 * np.arange(len(errors)), np.nan).astype(np.float32),
+        np.where(good, 0.0005, np.nan).astype(np.float32),
         np.full(len(errors), degraded, dtype=np.int8),
         {} if good.all() else {"too few": int((~good).sum())},
         event,
@@ -42,6 +43,7 @@ def test_errors_are_pooled_over_streams_frames_and_points():
     assert found["far_errors"]["points"] == 3
     assert found["calibration"] is None and found["degraded"] is None
     assert found["time_ms"] == {"median": pytest.approx(1.0), "p95": pytest.approx(1.9)}
+    assert found["processor_ms"] == {"median": pytest.approx(0.5), "p95": pytest.approx(0.5)}
 
 
 def test_a_stride_counts_every_so_many_frames():

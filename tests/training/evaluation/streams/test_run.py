@@ -111,7 +111,8 @@ def frames_shown():
 
 def without_time(rows):
     return {
-        name: {key: value for key, value in row.items() if key != "time_ms"} for name, row in rows.items()
+        name: {key: value for key, value in row.items() if not key.endswith("_ms")}
+        for name, row in rows.items()
     }
 
 

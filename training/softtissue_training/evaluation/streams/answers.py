@@ -46,7 +46,10 @@ class StreamAnswers:
     sigma
         (a, p) m; NaN where there is none.
     seconds
-        (a,) that the estimate took.
+        (a,) that the estimate took by the clock.
+    processor_s
+        (a,) of processor time of the thread that asked, which other work on the machine does not change; NaN where it
+        is not known.
     degraded
         (a,) 1 and 0, or `NOT_SAID`.
     failures
@@ -60,6 +63,7 @@ class StreamAnswers:
     error: Float32Array
     sigma: Float32Array
     seconds: Float32Array
+    processor_s: Float32Array
     degraded: NDArray[np.int8]
     failures: dict[str, int]
     event: int | None = None
@@ -73,6 +77,7 @@ class _Frame:
     sigma: FloatArray | None = None
     seconds: float = float("nan")
     degraded: int = NOT_SAID
+    processor_s: float = float("nan")
     failure: str | None = None
 
 
@@ -163,11 +168,11 @@ class StreamMethod:
             return _Frame(failure=_reason(error))
 
     def _estimated(self, observation: Observation, points: FloatArray) -> _Frame:
-        start = time.perf_counter()
+        start, computed = time.perf_counter(), time.thread_time()
         estimate = self._estimator.estimate(observation)
-        seconds = time.perf_counter() - start
+        seconds, processor_s = time.perf_counter() - start, time.thread_time() - computed
         displacement, sigma = estimate.displacement_at(points)
-        return _checked(_Frame(displacement, sigma, seconds, _degraded(estimate)))
+        return _checked(_Frame(displacement, sigma, seconds, _degraded(estimate), processor_s))
 
 
 def is_paced(spec: MethodSpec) -> bool:
@@ -222,6 +227,7 @@ def _gathered(
         error,
         sigma,
         np.array([frame.seconds for frame in frames], dtype=np.float32),
+        np.array([frame.processor_s for frame in frames], dtype=np.float32),
         np.array([frame.degraded for frame in frames], dtype=np.int8),
         dict(Counter(frame.failure for frame in frames if frame.failure is not None)),
         clouds.event,

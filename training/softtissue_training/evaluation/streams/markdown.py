@@ -91,13 +91,14 @@ def _every_frame(rows: Summary) -> str:
         "answered",
         "DEGRADED",
         "ms, median / 95 %",
+        "ms of processor time",
     ]
     return table(header, [[f"`{name}`", *_cells(row)] for name, row in rows.items()])
 
 
 def _cells(row: Summary) -> list[str]:
     spread = [_spread(row[what]) for what in ("errors", "far_errors")]
-    found, time = row["calibration"], row["time_ms"]
+    found = row["calibration"]
     calibration = ["-"] * 6
     if found is not None:
         calibration = [
@@ -116,7 +117,10 @@ def _cells(row: Summary) -> list[str]:
         *calibration,
         f"{row['answered']:.1%}",
         "not said" if row["degraded"] is None else f"{row['degraded']:.1%}",
-        "-" if time is None else f"{time['median']:.0f} / {time['p95']:.0f}",
+        *(
+            "-" if time is None else f"{time['median']:.0f} / {time['p95']:.0f}"
+            for time in (row["time_ms"], row["processor_ms"])
+        ),
     ]
 
 

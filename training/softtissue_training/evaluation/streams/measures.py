@@ -69,7 +69,6 @@ def measure(shown: Sequence[Shown], stride: int = 1) -> dict[str, Any]:
     error = _pooled([one.answers.error[rows].reshape(-1, 3) for one, rows in parts])
     sigma = _pooled([one.answers.sigma[rows].ravel() for one, rows in parts])
     depth = _pooled([np.tile(one.depth, int(rows.sum())) for one, rows in parts])
-    seconds = _pooled([one.answers.seconds[rows] for one, rows in parts])
     degraded = np.concatenate([one.answers.degraded[rows] for one, rows in parts])
     failures: Counter[str] = Counter()
     for one in shown:
@@ -82,9 +81,8 @@ def measure(shown: Sequence[Shown], stride: int = 1) -> dict[str, Any]:
         "far_errors": _spread(error[depth > FAR_M]),
         "calibration": _calibration(error, sigma),
         "far_calibration": _calibration(error[depth > FAR_M], sigma[depth > FAR_M]),
-        "time_ms": None
-        if len(seconds) == 0
-        else {"median": 1e3 * float(np.median(seconds)), "p95": 1e3 * float(np.quantile(seconds, 0.95))},
+        "time_ms": _times(_pooled([one.answers.seconds[rows] for one, rows in parts])),
+        "processor_ms": _times(_pooled([one.answers.processor_s[rows] for one, rows in parts])),
         "degraded": None if len(degraded) == 0 or (degraded == NOT_SAID).any() else float(degraded.mean()),
         "failures": dict(failures),
     }
@@ -92,6 +90,12 @@ def measure(shown: Sequence[Shown], stride: int = 1) -> dict[str, Any]:
 
 def _pooled(parts: list[Any]) -> FloatArray:
     return np.concatenate(parts).astype(np.float64)
+
+
+def _times(seconds: FloatArray) -> dict[str, float] | None:
+    if len(seconds) == 0 or np.isnan(seconds).any():
+        return None
+    return {"median": 1e3 * float(np.median(seconds)), "p95": 1e3 * float(np.quantile(seconds, 0.95))}
 
 
 def _spread(error: FloatArray) -> dict[str, float] | None:

@@ -12,7 +12,7 @@ from softtissue_training.evaluation.streams.answers import StreamAnswers, is_pac
 STREAMS_VERSION = 1
 """Of how streams, conditions and answers are made; whatever changes, other files are looked for."""
 _PACE_VERSION = 2
-_FIELDS = ("index", "answered", "error", "sigma", "seconds", "degraded")
+_FIELDS = ("index", "answered", "error", "sigma", "seconds", "processor_s", "degraded")
 
 
 def method_key(spec: MethodSpec, paced: bool | None, stride: int) -> str:
