@@ -8,6 +8,7 @@ import pytest
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.cli import main
+from softtissue_training.errors import SolverDivergedError
 from softtissue_training.evaluation import methods
 from softtissue_training.evaluation.benchmark import plan as planning
 from softtissue_training.evaluation.benchmark.plan import REAL_SEED, make_plan
@@ -114,6 +115,27 @@ def without_time(rows):
         name: {key: value for key, value in row.items() if not key.endswith("_ms")}
         for name, row in rows.items()
     }
+
+
+def test_an_estimator_that_fails_spoils_nothing_for_others(finished, monkeypatch):
+    out, _ = finished
+    before = summary(out)["common_frames"]["rigid"]
+
+    def fragile(case):
+        if case.organ.attached.any():
+            raise SolverDivergedError(f"no equilibrium of {case.name}")
+        return np.zeros_like(case.points)
+
+    monkeypatch.setitem(methods._FUNCTIONS, "fragile", fragile)
+    shown = run(out, "rigid,fragile")
+    found = summary(out)["common_frames"]
+    assert found["rigid"] == before
+    assert found["fragile"]["exact"]["answered"] == 0.0 and found["fragile"]["exact"]["errors"] is None
+    assert found["fragile"]["attached_unknown"]["answered"] == 1.0
+    row = next(line for line in shown.splitlines() if line.startswith("| `exact`"))
+    assert row.endswith("| - |")
+    text = (out / "real.md").read_text(encoding="utf-8")
+    assert "- fragile, `exact`: 8 times, such as: no equilibrium of moving_00000" in text
 
 
 def test_an_earlier_run_is_shown_beside(finished, tmp_path):

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import SoftTissueError
-from softtissue_estimator.estimators.estimator import Estimate, create_estimator
+from softtissue_estimator.estimators.estimator import Estimate, create_estimator, estimator_names
 from softtissue_estimator.observation.observation import Observation, make_observation
 from softtissue_estimator.organ.organ import Organ
 from softtissue_training.evaluation.case import EvaluationCase
-from softtissue_training.evaluation.methods import SIMPLE, Method, MethodSpec
+from softtissue_training.evaluation.methods import Method, MethodSpec
 from softtissue_training.evaluation.streams.conditions import Clouds
 from softtissue_training.evaluation.streams.pace import Pace
 from softtissue_training.evaluation.streams.stream import Stream
@@ -102,7 +102,7 @@ class StreamMethod:
 
     def __post_init__(self) -> None:
         self._memoryless: Method | None = None
-        if self.spec.kind in SIMPLE:
+        if not has_history(self.spec):
             self._memoryless = self.spec.make()
         else:
             config = EstimatorConfig(
@@ -173,6 +173,11 @@ class StreamMethod:
         seconds, processor_s = time.perf_counter() - start, time.thread_time() - computed
         displacement, sigma = estimate.displacement_at(points)
         return _checked(_Frame(displacement, sigma, seconds, _degraded(estimate), processor_s))
+
+
+def has_history(spec: MethodSpec) -> bool:
+    """Whether an estimator is one of the product, which is shown every frame."""
+    return spec.kind in estimator_names()
 
 
 def is_paced(spec: MethodSpec) -> bool:

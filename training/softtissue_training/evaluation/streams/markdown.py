@@ -177,10 +177,11 @@ def _streams(summary: Summary) -> str:
 
 
 def _failures(by_label: Summary) -> list[str]:
+    """List how often estimators refused, each with one reason, because reasons hold numbers that differ."""
     lines = [
-        f"- {label}, `{condition}`: {times} times: {reason}"
+        f"- {label}, `{condition}`: {sum(row['failures'].values())} times, such as: {next(iter(row['failures']))}"
         for label, by_condition in by_label.items()
         for condition, row in by_condition.items()
-        for reason, times in row["failures"].items()
+        if row["failures"]
     ]
     return ["## Failures", "\n".join(lines)] if lines else []

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from softtissue_training.evaluation.benchmark.machine import busy_cores, machine
-from softtissue_training.evaluation.methods import SIMPLE, MethodSpec
+from softtissue_training.evaluation.methods import MethodSpec
 from softtissue_training.evaluation.report import replace_text, write_json
-from softtissue_training.evaluation.streams.answers import MEMORYLESS_STRIDE
+from softtissue_training.evaluation.streams.answers import MEMORYLESS_STRIDE, has_history
 from softtissue_training.evaluation.streams.conditions import CONDITIONS, Instance, instances
 from softtissue_training.evaluation.streams.earlier import earlier_figures
 from softtissue_training.evaluation.streams.evaluate import StreamJob, answer_all, stream_jobs
@@ -107,7 +107,7 @@ def _summary(plan: StreamPlan, jobs: Sequence[StreamJob], stride: int) -> dict[s
         rows = groups.setdefault(job.spec.label, {condition: [] for condition in CONDITIONS})
         for instance in instances(job.number, plan.organs):
             rows[instance.condition].append(_shown(job, instance, streams[job.number]))
-    every_frame = [job.spec.label for job in jobs[: len(groups)] if job.spec.kind not in SIMPLE]
+    every_frame = [job.spec.label for job in jobs[: len(groups)] if has_history(job.spec)]
     interval_s = plan.observation.interval_s
     return {
         "streams": [_described(stream) for stream in streams.values()],
