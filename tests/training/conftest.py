@@ -5,10 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
+from softtissue_training.evaluation.streams.plan import organ_name
+from softtissue_training.evaluation.streams.stream import make_stream
 from softtissue_training.simulation.archive import record_name, write_record
+from softtissue_training.simulation.moving_organ import simulate_motion
 from softtissue_training.simulation.record_format import format_record
 from softtissue_training.simulation.sample import Record, Sample
-from training.coarse import LINEAR, coarse_records
+from training.coarse import COARSE_MOTION, COARSE_STREAM, LINEAR, coarse_records
 
 
 @pytest.fixture(scope="session")
@@ -47,3 +50,18 @@ def coarse_breathing_liver(tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("breathing_liver")
     return build_case(coarse(BreathingSpec()), folder), folder
+
+
+@pytest.fixture(scope="session")
+def coarse_motions():
+    """Motions of two organs with coarse elements."""
+    return [simulate_motion(5, number, COARSE_MOTION) for number in range(2)]
+
+
+@pytest.fixture(scope="session")
+def coarse_streams(coarse_motions):
+    """Observations of `coarse_motions`, few frames of few points."""
+    return [
+        make_stream(motion, organ_name(number), (5, number), COARSE_STREAM)
+        for number, motion in enumerate(coarse_motions)
+    ]

@@ -175,8 +175,8 @@ MUTATIONS = (
     Mutation(
         "load of the wrong axis",
         "physics/solver.py",
-        "    load = _Load(body, force, pressure)",
-        "    load = _Load(body, np.roll(force, 1, axis=1), pressure)",
+        "    load = Load(body, force, pressure)",
+        "    load = Load(body, np.roll(force, 1, axis=1), pressure)",
         True,
     ),
     Mutation(
@@ -236,7 +236,7 @@ MUTATIONS = (
     ),
     Mutation(
         "pressure: on the body at rest",
-        "physics/solver.py",
+        "physics/load.py",
         "self.pressure.force(self.body.vertices + displacement)",
         "self.pressure.force(self.body.vertices)",
     ),

@@ -35,6 +35,19 @@ def add(commands: Commands) -> None:
         help="as in `evaluate insilico` (default: zero,rigid,rbf,fem,elastic,paper and, if there is one, hybrid)",
     )
     benchmark.add_argument(
+        "--label",
+        action="append",
+        default=[],
+        metavar="ESTIMATOR=NAME",
+        help="another name in tables, such as elastic=elastic@0.1",
+    )
+    benchmark.add_argument(
+        "--beside",
+        type=Path,
+        metavar="FILE",
+        help="real.json of an earlier run of the suite real on the same streams, whose estimators are shown too",
+    )
+    benchmark.add_argument(
         "--compare",
         nargs="+",
         default=(),
@@ -45,7 +58,8 @@ def add(commands: Commands) -> None:
     benchmark.add_argument(
         "--suites",
         metavar="LIST",
-        help="of random (organs, with all sweeps), own (the bundled liver) and user (the surface named); default: "
+        help="of random (organs, with all sweeps), own (the bundled liver), user (the surface named) and real (streams "
+        "of organs that move, with the errors of an operating room; writes DIR/real.json and DIR/real.md); default: "
         "random,own and, with --organ-surface, user; with --quick without own",
     )
     benchmark.add_argument(
@@ -56,7 +70,7 @@ def add(commands: Commands) -> None:
         "--count",
         type=positive,
         metavar="N",
-        help="samples of each suite (default: random 300, own 200, user 1334, as many as in the paper)",
+        help="samples of each suite (default: random 300, own 200, user 1334, as many as in the paper, real 20)",
     )
     benchmark.add_argument("--sweep", type=positive, metavar="N", help="organs of each sweep (default: 60)")
     benchmark.add_argument(
@@ -74,7 +88,8 @@ def _benchmark(options: argparse.Namespace) -> int:
     from softtissue_training.evaluation.benchmark.pairs import parse_pairs
     from softtissue_training.evaluation.benchmark.plan import NamedSurface, make_plan
     from softtissue_training.evaluation.benchmark.run import run_benchmark
-    from softtissue_training.evaluation.methods import parse_methods
+    from softtissue_training.evaluation.methods import parse_methods, relabelled
+    from softtissue_training.evaluation.streams.run import run_streams
 
     if (options.organ_surface is None) != (options.unit is None):
         raise InvalidInputError("--organ-surface and --unit: expected both or neither, got one of them")
@@ -89,15 +104,22 @@ def _benchmark(options: argparse.Namespace) -> int:
     listed = options.estimators
     if listed is None:
         listed = "zero,rigid,rbf,fem,elastic,paper" + (",hybrid" if "hybrid" in estimator_names() else "")
-    methods = parse_methods(listed, options.device)
+    methods = relabelled(parse_methods(listed, options.device), options.label)
     plan = make_plan(suites, surfaces, quick=options.quick, count=options.count, sweep_count=options.sweep)
-    shown = run_benchmark(
-        plan,
-        methods,
-        options.out,
-        pairs=parse_pairs(options.compare, [spec.label for spec in methods]),
-        workers=options.workers,
-        command=shlex.join(["softtissue-train", *sys.argv[1:]]),
-    )
-    print(shown)
+    pairs = parse_pairs(options.compare, [spec.label for spec in methods])
+    command = shlex.join(["softtissue-train", *sys.argv[1:]])
+    if plan.data_sets:
+        workers = options.workers
+        print(run_benchmark(plan, methods, options.out, pairs=pairs, workers=workers, command=command))
+    if plan.streams is not None:
+        print(
+            run_streams(
+                plan.streams,
+                methods,
+                options.out,
+                workers=options.workers,
+                command=command,
+                beside=options.beside,
+            )
+        )
     return 0

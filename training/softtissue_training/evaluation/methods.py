@@ -8,8 +8,8 @@ from __future__ import annotations
 import hashlib
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -257,6 +257,27 @@ def parse_methods(listed: str, device: str = "auto") -> list[MethodSpec]:
     if len(set(labels)) < len(labels):
         raise InvalidInputError(f"estimators: expected each once, got {', '.join(labels)}")
     return specs
+
+
+def relabelled(specs: Sequence[MethodSpec], labels: Sequence[str]) -> list[MethodSpec]:
+    """Give estimators other names in tables, as by `elastic=elastic@0.1`.
+
+    Raises
+    ------
+    InvalidInputError
+        An estimator is not there, or two would have the same name.
+    """
+    names = {spec.label: spec.label for spec in specs}
+    for text in labels:
+        old, equals, new = text.partition("=")
+        if old not in names or not equals or not new:
+            raise InvalidInputError(
+                f"--label: expected one of {', '.join(names)}, =, and a name, got {text!r}"
+            )
+        names[old] = new
+    if len(set(names.values())) < len(names):
+        raise InvalidInputError(f"--label: expected different names, got {', '.join(names.values())}")
+    return [replace(spec, label=names[spec.label]) for spec in specs]
 
 
 def _sources(kind: str) -> list[Path]:

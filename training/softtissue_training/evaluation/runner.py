@@ -2,16 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
 import tempfile
-import threading
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
@@ -24,9 +17,8 @@ from softtissue_training.errors import EvaluationStoppedError
 from softtissue_training.evaluation.case import EvaluationCase
 from softtissue_training.evaluation.measured import Answer, CaseResult, truth_of
 from softtissue_training.evaluation.methods import Method, MethodSpec
+from softtissue_training.evaluation.processes import ONE_THREAD, environment, in_processes
 from softtissue_training.evaluation.store import Store
-
-_ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 
 
 class Job(Protocol):
@@ -117,7 +109,7 @@ def _run(
     # The estimators keep what they prepare for an organ in the user's cache; hundreds of organs do not belong there.
     with (
         tempfile.TemporaryDirectory(prefix="softtissue-evaluation-") as cache,
-        _environment({**_ONE_THREAD, "XDG_CACHE_HOME": cache}),
+        environment({**ONE_THREAD, "XDG_CACHE_HOME": cache}),
     ):
         if workers == 0:
             worker = _Worker(methods, keys, folder)
@@ -126,35 +118,7 @@ def _run(
                     worker.work(job)
                     yield
             return
-        yield from _run_in_processes(jobs, methods, keys, folder, workers)
-
-
-def _run_in_processes(
-    jobs: list[Job], methods: list[MethodSpec], keys: list[str], folder: Path, workers: int
-) -> Iterator[None]:
-    others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(
-        min(workers, len(jobs)),
-        # Spawned, not forked: Gmsh and MKL do not survive a fork.
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_start_worker,
-        initargs=(methods, keys, folder),
-    )
-    try:
-        for done in as_completed([pool.submit(_work, job) for job in jobs]):
-            done.result()
-            yield
-    except KeyboardInterrupt:
-        # Answers appear complete or not at all, so that nothing is lost but what is being computed.
-        for worker in set(multiprocessing.active_children()) - others:
-            worker.terminate()
-        raise
-    except BrokenProcessPool as error:
-        raise EvaluationStoppedError(
-            "a worker process ended abruptly, perhaps for lack of memory; the same command goes on from here"
-        ) from error
-    finally:
-        pool.shutdown(cancel_futures=True)
+        yield from in_processes(_work, jobs, workers, _start_worker, (methods, keys, folder))
 
 
 class _Worker:
@@ -209,35 +173,10 @@ _worker: _Worker | None = None  # of a worker process
 
 def _start_worker(methods: list[MethodSpec], keys: list[str], folder: Path) -> None:
     global _worker
-    # Ctrl-C goes to the whole group; the parent ends the workers.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
     _worker = _Worker(methods, keys, folder)
-
-
-def _end_with_parent() -> None:
-    """Do not wait for ever for work from a parent that was killed."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def _work(job: Job) -> None:
     if _worker is None:
         raise RuntimeError("_start_worker has not run in this process")
     _worker.work(job)
-
-
-@contextmanager
-def _environment(variables: dict[str, str]) -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in variables}
-    os.environ.update(variables)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

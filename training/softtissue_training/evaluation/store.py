@@ -49,11 +49,11 @@ class Store:
             for field in ("target", "depth", "visible"):
                 arrays[f"{field}_{index}"] = getattr(truth, field)
             about.append([truth.name, truth.visible_share, truth.load_seen_share])
-        self._write(self._path(job, "truth"), arrays, about)
+        write_arrays(self._path(job, "truth"), arrays, about)
 
     def read_truths(self, job: str) -> list[Truth] | None:
         """Return a job's truths, or None if they are not stored or damaged."""
-        stored = _read(self._path(job, "truth"))
+        stored = read_arrays(self._path(job, "truth"))
         if stored is None:
             return None
         arrays, about = stored
@@ -71,11 +71,11 @@ class Store:
             if answer.sigma is not None:
                 arrays[f"sigma_{index}"] = answer.sigma
             about.append([answer.failure, answer.setup_s, answer.estimate_s])
-        self._write(self._path(job, method), arrays, about)
+        write_arrays(self._path(job, method), arrays, about)
 
     def read_answers(self, job: str, method: str) -> list[Answer] | None:
         """Return an estimator's answers to a job, or None if they are not stored or damaged."""
-        stored = _read(self._path(job, method))
+        stored = read_arrays(self._path(job, method))
         if stored is None:
             return None
         arrays, about = stored
@@ -87,21 +87,23 @@ class Store:
     def _path(self, job: str, what: str) -> Path:
         return self._folder / f"{job}.{what}.npz"
 
-    def _write(self, path: Path, arrays: Arrays, about: list[Any]) -> None:
-        """Write a file that appears under its name only when it is complete."""
-        buffer = io.BytesIO()
-        np.savez_compressed(
-            buffer,
-            about=np.frombuffer(json.dumps(about).encode(), dtype=np.uint8),
-            allow_pickle=False,
-            **arrays,
-        )
-        partial = path.with_suffix(f".partial{os.getpid()}")
-        partial.write_bytes(buffer.getvalue())
-        partial.replace(path)
+
+def write_arrays(path: Path, arrays: Arrays, about: Any) -> None:
+    """Write arrays and JSON values into a file that appears under its name only when it is complete."""
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        about=np.frombuffer(json.dumps(about).encode(), dtype=np.uint8),
+        allow_pickle=False,
+        **arrays,
+    )
+    partial = path.with_suffix(f".partial{os.getpid()}")
+    partial.write_bytes(buffer.getvalue())
+    partial.replace(path)
 
 
-def _read(path: Path) -> tuple[Arrays, list[Any]] | None:
+def read_arrays(path: Path) -> tuple[Arrays, Any] | None:
+    """Read what `write_arrays` wrote; None if it is not there or damaged."""
     try:
         # Opened here, because NumPy leaves a damaged file open.
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:

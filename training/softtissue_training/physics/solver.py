@@ -25,6 +25,7 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.errors import SolverDivergedError
 from softtissue_training.physics.averaged_body import AveragedBody
 from softtissue_training.physics.body import Body
+from softtissue_training.physics.load import Load
 from softtissue_training.physics.load_stepping import apply_load
 from softtissue_training.physics.material import Material
 from softtissue_training.physics.pressure import SurfacePressure
@@ -112,11 +113,11 @@ def solve(
     SolverDivergedError
         No equilibrium, not even in the smallest increments of the load.
     """
-    _check(vertices, tets, fixed, force)
+    check_body(vertices, tets, fixed, force)
     if fixed.ndim == 1:
         fixed = np.repeat(fixed[:, None], 3, axis=1)
     body = make_body(vertices, tets, fixed, material, formulation)
-    load = _Load(body, force, pressure)
+    load = Load(body, force, pressure)
     moved = np.where(fixed, 0.0 if prescribed is None else prescribed, 0.0)
 
     def advance(last: FloatArray, share: float) -> tuple[FloatArray, int]:
@@ -127,35 +128,6 @@ def solve(
     internal, loaded = body.internal_force(displacement), load.force(displacement)
     reaction = np.where(fixed, internal - loaded, 0.0)
     return Solution(displacement, reaction, iterations, _residual(body, loaded, internal), loaded, increments)
-
-
-@dataclass(frozen=True)
-class _Load:
-    """Dead forces, (n, 3) newtons, and pressure on a body, in some share of the full load."""
-
-    body: Body
-    dead: FloatArray
-    pressure: SurfacePressure | None
-
-    def times(self, share: float) -> _Load:
-        pressure = self.pressure
-        if pressure is not None:
-            pressure = SurfacePressure(pressure.faces, share * pressure.pressure_pa)
-        return _Load(self.body, share * self.dead, pressure)
-
-    def force(self, displacement: FloatArray) -> FloatArray:
-        """(n, 3) newtons on the displaced body."""
-        if self.pressure is None:
-            return self.dead
-        return self.dead + self.pressure.force(self.body.vertices + displacement)
-
-    def mean_force(self, before: FloatArray, after: FloatArray) -> FloatArray:
-        return self.dead if self.pressure is None else 0.5 * (self.force(before) + self.force(after))
-
-    def stiffness(self, displacement: FloatArray) -> FloatArray | None:
-        if self.pressure is None:
-            return None
-        return self.pressure.stiffness(self.body.vertices + displacement, self.body.tets)
 
 
 def make_body(
@@ -176,7 +148,7 @@ def make_body(
 
 
 def find_equilibrium(
-    body: Body, start: FloatArray, load: _Load, tolerance: float, max_iterations: int
+    body: Body, start: FloatArray, load: Load, tolerance: float, max_iterations: int
 ) -> tuple[FloatArray, int]:
     """Return the equilibrium displacement, (n, 3), reached by Newton's steps from a start, and their number.
 
@@ -217,7 +189,7 @@ def _follow_prescribed(body: Body, displacement: FloatArray, prescribed: FloatAr
     return start
 
 
-def _newton_step(body: Body, displacement: FloatArray, load: _Load, unbalanced: FloatArray) -> FloatArray:
+def _newton_step(body: Body, displacement: FloatArray, load: Load, unbalanced: FloatArray) -> FloatArray:
     energy = body.energy(displacement)
     for projected in (False, True):
         load_stiffness = None if projected else load.stiffness(displacement)
@@ -252,7 +224,14 @@ def _norm(a: FloatArray) -> float:
     return float(np.sqrt(_dot(a, a)))
 
 
-def _check(vertices: FloatArray, tets: IntArray, fixed: BoolArray, force: FloatArray) -> None:
+def check_body(vertices: FloatArray, tets: IntArray, fixed: BoolArray, force: FloatArray) -> None:
+    """Check the shapes of what `solve` is given, and that enough is fixed.
+
+    Raises
+    ------
+    InvalidInputError
+        They do not match, or nothing is fixed.
+    """
     count = len(vertices)
     if vertices.shape != (count, 3) or force.shape != (count, 3) or fixed.shape not in ((count,), (count, 3)):
         raise InvalidInputError(

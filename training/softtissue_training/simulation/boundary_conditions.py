@@ -58,25 +58,57 @@ def random_boundary_conditions(
     RejectedSampleError
         A patch has too few vertices, or a loaded patch is wholly attached.
     """
-    attached = random_patch(surface, rng.uniform(*ATTACHED_RADIUS_M), rng)
-    if attached.sum() < _MINIMUM_PATCH_VERTICES:
-        raise RejectedSampleError("patch too small", f"attached patch has {attached.sum()} vertices")
-    areas = vertex_areas(surface)
+    attached = random_attachment(surface, rng)
     force = np.zeros_like(surface.vertices)
     for _ in range(rng.integers(*recipe.forces, endpoint=True)):
-        weights = areas * _loaded_patch(surface, attached, rng)
-        force += (weights / weights.sum())[:, None] * rng.uniform(*recipe.force_n) * random_direction(rng)
+        force += random_force(surface, attached, recipe.force_n, rng)
     gravity = np.zeros(3)
     if recipe.gravity[1] > 0.0:
         gravity = STANDARD_GRAVITY_M_S2 * rng.uniform(*recipe.gravity) * random_direction(rng)
     pressure = np.zeros(len(surface.faces))
     if recipe.pressure_pa[1] > 0.0:
-        pressed = _loaded_patch(surface, attached, rng)[surface.faces].all(axis=1)
+        pressed = loaded_patch(surface, attached, rng)[surface.faces].all(axis=1)
         pressure[pressed] = rng.uniform(*recipe.pressure_pa)
     return BoundaryConditions(attached, force, gravity, pressure)
 
 
-def _loaded_patch(surface: SurfaceMesh, attached: BoolArray, rng: np.random.Generator) -> BoolArray:
+def random_attachment(surface: SurfaceMesh, rng: np.random.Generator) -> BoolArray:
+    """Draw the attached vertices, (n,).
+
+    Raises
+    ------
+    RejectedSampleError
+        The patch has too few vertices.
+    """
+    attached = random_patch(surface, rng.uniform(*ATTACHED_RADIUS_M), rng)
+    if attached.sum() < _MINIMUM_PATCH_VERTICES:
+        raise RejectedSampleError("patch too small", f"attached patch has {attached.sum()} vertices")
+    return attached
+
+
+def random_force(
+    surface: SurfaceMesh, attached: BoolArray, force_n: tuple[float, float], rng: np.random.Generator
+) -> FloatArray:
+    """Push a random patch in a random direction, (n, 3) newtons on the vertices, evenly over its area.
+
+    Raises
+    ------
+    RejectedSampleError
+        The patch is wholly attached.
+    """
+    weights = vertex_areas(surface) * loaded_patch(surface, attached, rng)
+    force: FloatArray = (weights / weights.sum())[:, None] * rng.uniform(*force_n) * random_direction(rng)
+    return force
+
+
+def loaded_patch(surface: SurfaceMesh, attached: BoolArray, rng: np.random.Generator) -> BoolArray:
+    """Draw the vertices of a patch that is not wholly attached, (n,).
+
+    Raises
+    ------
+    RejectedSampleError
+        It is.
+    """
     loaded = random_patch(surface, rng.uniform(*LOADED_RADIUS_M), rng)
     if (loaded & ~attached).sum() < _MINIMUM_PATCH_VERTICES:
         raise RejectedSampleError("load on attachment", "a loaded patch lies within the attached one")

@@ -58,7 +58,7 @@ def simulate(
     while True:
         samples: list[Sample] = []
         try:
-            organ = mesh if mesh is not None else _random_mesh(organs, recipe)
+            organ = mesh if mesh is not None else random_mesh(organs, recipe)
             for rng in loads:
                 samples += _random_case(organ, recipe, rng, (seed, number), len(samples), materials, rejected)
         except RejectedSampleError as error:
@@ -67,7 +67,14 @@ def simulate(
             return Record(tuple(samples), recipe, dict(rejected), versions())
 
 
-def _random_mesh(rng: np.random.Generator, recipe: Recipe) -> TetMesh:
+def random_mesh(rng: np.random.Generator, recipe: Recipe) -> TetMesh:
+    """Draw an organ and fill it with tetrahedra.
+
+    Raises
+    ------
+    RejectedSampleError
+        The shape cannot be used or filled.
+    """
     try:
         surface = random_organ_surface(rng, recipe.element_size_m, recipe.shapes)
     except MeshError as error:
@@ -115,7 +122,7 @@ def _simulate_case(
         solution = solve(mesh.vertices, mesh.tets, fixed, load, material, pressure=pressure)
     except SolverDivergedError as error:
         raise RejectedSampleError("not converged", str(error)) from error
-    _check(mesh, solution.displacement)
+    check_displacement(mesh, solution.displacement)
     return Sample(
         vertices=mesh.vertices.astype(np.float32),
         tets=mesh.tets.astype(np.int32),
@@ -132,7 +139,14 @@ def _simulate_case(
     )
 
 
-def _check(mesh: TetMesh, displacement: NDArray[np.float64]) -> None:
+def check_displacement(mesh: TetMesh, displacement: NDArray[np.float64]) -> None:
+    """Refuse a displacement (n, 3) m that goes too far or leaves the cube.
+
+    Raises
+    ------
+    RejectedSampleError
+        It does.
+    """
     largest = float(np.linalg.norm(displacement, axis=1).max())
     if largest > MAXIMUM_DISPLACEMENT_M:
         raise RejectedSampleError(

@@ -142,7 +142,9 @@ def test_the_plan_holds_what_the_conditions_say():
 
 
 def test_wrong_suites_are_said():
-    with pytest.raises(InvalidInputError, match="suites: expected some of random, own, user, got liver"):
+    with pytest.raises(
+        InvalidInputError, match="suites: expected some of random, own, user, real, got liver"
+    ):
         make_plan(("liver",), {})
     with pytest.raises(InvalidInputError, match="suite user: expected a surface"):
         make_plan(("user",), {})

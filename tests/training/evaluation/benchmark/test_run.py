@@ -301,9 +301,14 @@ def test_pairs_are_of_labels_in_the_list():
     ("arguments", "message"),
     [
         (["--estimators", "magic"], "estimators: expected zero, rigid, rbf, fem"),
-        (["--suites", "own,liver"], "suites: expected some of random, own, user, got own, liver"),
+        (["--suites", "own,liver"], "suites: expected some of random, own, user, real, got own, liver"),
         (["--suites", "user"], "suite user: expected a surface"),
         (["--organ-surface", "liver.stl"], "--organ-surface and --unit: expected both or neither"),
+        (
+            ["--label", "elastic=old"],
+            "--label: expected one of zero, rigid, =, and a name, got 'elastic=old'",
+        ),
+        (["--label", "zero=rigid"], "--label: expected different names, got rigid, rigid"),
         (["--compare", "zero:elastic"], "expected two of zero, rigid joined by a colon"),
         (
             ["--organ-surface", "none.stl", "--unit", "mm", "--suites", "user"],

@@ -11,12 +11,13 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.evaluation.measured import Truth
 from softtissue_training.evaluation.metrics import CONDITIONS, Condition
 from softtissue_training.evaluation.observe import ObservationSettings
+from softtissue_training.evaluation.streams.plan import StreamPlan
 from softtissue_training.physics.material import Material
 from softtissue_training.simulation.recipe import Recipe
 from softtissue_training.simulation.reserved_seeds import FIRST_RESERVED_SEED
 
-SUITES = ("random", "own", "user")
-RANDOM_SEED, OWN_SEED, USER_SEED = (FIRST_RESERVED_SEED + index for index in range(3))
+SUITES = ("random", "own", "user", "real")
+RANDOM_SEED, OWN_SEED, USER_SEED, REAL_SEED = (FIRST_RESERVED_SEED + index for index in range(4))
 """One seed each for the suites; the sweeps are of the random suite's organs."""
 VISIBLE_BINS = ((8, 15), (15, 25), (25, 40), (40, 60))
 """Percent of the surface; with the lower end, without the upper one, except that the last holds all above."""
@@ -26,10 +27,10 @@ SWEEP_BASE = "noise_0mm"
 NU_UNKNOWN = "nu_unknown"
 """All simulations with another Poisson's ratio than the paper's."""
 
-COUNTS = {"random": 300, "own": 200, "user": 1334}
-"""Samples of each suite; 1334 are the paper's."""
+COUNTS = {"random": 300, "own": 200, "user": 1334, "real": 20}
+"""Samples of each suite, of `real` organs that move; 1334 are the paper's."""
 SWEEP_COUNT = 60
-QUICK_COUNTS = {"random": 60, "own": 20, "user": 20}
+QUICK_COUNTS = {"random": 60, "own": 20, "user": 20, "real": 4}
 QUICK_SWEEP_COUNT = 10
 
 _PLAIN_OBSERVATION = ObservationSettings()
@@ -95,13 +96,16 @@ class Plan:
     Attributes
     ----------
     suites
-        Those that figures are drawn of and that pairs of estimators are compared on.
+        Those that figures are drawn of and that pairs of estimators are compared on; `real` is not one of them.
     data_sets
-        Everything that is simulated.
+        Everything that is simulated for them.
+    streams
+        The suite `real`, if it is asked for.
     """
 
     suites: tuple[str, ...]
     data_sets: tuple[DataSet, ...]
+    streams: StreamPlan | None = None
 
 
 def condition_of(suite: str) -> str:
@@ -174,8 +178,12 @@ def make_plan(
             f"suites: expected some of {', '.join(SUITES)}, got {', '.join(suites) or 'none'}"
         )
     data_sets: list[DataSet] = []
+    streams: StreamPlan | None = None
     for suite in suites:
         samples = count or (QUICK_COUNTS if quick else COUNTS)[suite]
+        if suite == "real":
+            streams = StreamPlan(REAL_SEED, samples)
+            continue
         if suite == "random":
             sweeps = min(sweep_count or (QUICK_SWEEP_COUNT if quick else SWEEP_COUNT), samples)
             data_sets += _random_suite(samples, sweeps)
@@ -185,7 +193,7 @@ def make_plan(
         seed = OWN_SEED if suite == "own" else USER_SEED
         view = View(condition_of(suite), samples)
         data_sets.append(DataSet(suite, seed, Recipe(), samples, (view,), surface=surfaces[suite]))
-    return Plan(tuple(suites), tuple(data_sets))
+    return Plan(tuple(suite for suite in suites if suite != "real"), tuple(data_sets), streams)
 
 
 def _random_suite(samples: int, sweeps: int) -> list[DataSet]:

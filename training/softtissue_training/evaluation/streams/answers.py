@@ -1,0 +1,239 @@
+"""Let an estimator answer a stream, frame after frame, as the node runs it."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.errors import SoftTissueError
+from softtissue_estimator.estimators.estimator import Estimate, create_estimator, estimator_names
+from softtissue_estimator.observation.observation import Observation, make_observation
+from softtissue_estimator.organ.organ import Organ
+from softtissue_training.evaluation.case import EvaluationCase
+from softtissue_training.evaluation.methods import Method, MethodSpec
+from softtissue_training.evaluation.streams.conditions import Clouds
+from softtissue_training.evaluation.streams.pace import Pace
+from softtissue_training.evaluation.streams.stream import Stream
+
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+
+MEMORYLESS_STRIDE = 10
+"""Estimators without a history answer every so many frames."""
+IMPROVES_BETWEEN_FRAMES = ("elastic", "hybrid")
+"""Kinds with a thread that is at work between frames, which get the time that it has in use."""
+NOT_SAID = -1
+"""Whether an answer is degraded, where the estimator does not say."""
+
+
+@dataclass(frozen=True, eq=False)
+class StreamAnswers:
+    """An estimator's answers to the clouds of one stream under one condition.
+
+    Attributes
+    ----------
+    index
+        (a,) of the clouds that were shown, in order.
+    answered
+        (a,) false where the estimator refused.
+    error
+        (a, p, 3) m, estimated minus true displacement; NaN where there is no answer.
+    sigma
+        (a, p) m; NaN where there is none.
+    seconds
+        (a,) that the estimate took by the clock.
+    processor_s
+        (a,) of processor time of the thread that asked, which other work on the machine does not change; NaN where it
+        is not known.
+    degraded
+        (a,) 1 and 0, or `NOT_SAID`.
+    failures
+        How often it refused for which reason.
+    event
+        See `Clouds`.
+    """
+
+    index: NDArray[np.int64]
+    answered: NDArray[np.bool_]
+    error: Float32Array
+    sigma: Float32Array
+    seconds: Float32Array
+    processor_s: Float32Array
+    degraded: NDArray[np.int8]
+    failures: dict[str, int]
+    event: int | None = None
+
+
+@dataclass(eq=False)
+class _Frame:
+    """What is kept of one frame."""
+
+    displacement: FloatArray | None = None
+    sigma: FloatArray | None = None
+    seconds: float = float("nan")
+    degraded: int = NOT_SAID
+    processor_s: float = float("nan")
+    failure: str | None = None
+
+
+@dataclass(eq=False)
+class StreamMethod:
+    """An estimator that is shown streams.
+
+    Parameters
+    ----------
+    spec
+        Which one.
+    paced
+        Wait until the next frame is due (`Pace`); None for estimators that improve their state meanwhile.
+    stride
+        Every how many frames an estimator without a history is asked.
+    """
+
+    spec: MethodSpec
+    paced: bool | None = None
+    stride: int = MEMORYLESS_STRIDE
+    _loaded: str = field(default="", init=False)
+
+    def __post_init__(self) -> None:
+        self._memoryless: Method | None = None
+        if not has_history(self.spec):
+            self._memoryless = self.spec.make()
+        else:
+            config = EstimatorConfig(
+                estimator=self.spec.kind,
+                checkpoint=str(self.spec.checkpoint or ""),
+                device=self.spec.device,
+                tracking=True,
+            )
+            self._estimator = create_estimator(config)
+        if self.paced is None:
+            self.paced = is_paced(self.spec)
+
+    def answer(self, stream: Stream, clouds: Clouds) -> StreamAnswers:
+        """Show all clouds in order; whatever goes wrong inside the estimator counts as refused."""
+        organ = stream.organ
+        if not np.array_equal(clouds.attached, organ.attached):
+            organ = organ.with_attached(clouds.attached)
+        stride = 1 if self._memoryless is None else self.stride
+        index = np.arange(0, len(clouds.frames), stride)
+        try:
+            self._begin(organ)
+        except Exception as error:
+            return _gathered(stream, clouds, index, [_Frame(failure=_reason(error)) for _ in index])
+        frames: list[_Frame] = []
+        pace = Pace(stream.settings.interval_s)
+        for number in index:
+            if self.paced:
+                pace.wait()
+            frames.append(self._frame(stream, organ, clouds, int(number)))
+        return _gathered(stream, clouds, index, frames)
+
+    def close(self) -> None:
+        """End what the estimator has running."""
+        if self._memoryless is None:
+            self._estimator.close()
+
+    def _begin(self, organ: Organ) -> None:
+        if self._memoryless is not None:
+            self._memoryless.load(organ)
+        elif organ.digest == self._loaded:
+            self._estimator.forget()
+        else:
+            self._loaded = ""
+            self._estimator.load_organ(organ)
+            self._loaded = organ.digest
+
+    def _frame(self, stream: Stream, organ: Organ, clouds: Clouds, number: int) -> _Frame:
+        seen = clouds.seen[number]
+        try:
+            observation, _ = make_observation(
+                clouds.points[number][seen],
+                clouds.reference[seen],
+                stream.settings.noise_m,
+                organ,
+                EstimatorConfig(),
+            )
+            if self._memoryless is None:
+                return self._estimated(observation, stream.inner)
+            case = _case(stream, organ, observation, int(clouds.frames[number]))
+            reading = self._memoryless.answer(case)
+            return _checked(_Frame(reading.displacement, reading.sigma, reading.seconds))
+        except Exception as error:
+            return _Frame(failure=_reason(error))
+
+    def _estimated(self, observation: Observation, points: FloatArray) -> _Frame:
+        start, computed = time.perf_counter(), time.thread_time()
+        estimate = self._estimator.estimate(observation)
+        seconds, processor_s = time.perf_counter() - start, time.thread_time() - computed
+        displacement, sigma = estimate.displacement_at(points)
+        return _checked(_Frame(displacement, sigma, seconds, _degraded(estimate), processor_s))
+
+
+def has_history(spec: MethodSpec) -> bool:
+    """Whether an estimator is one of the product, which is shown every frame."""
+    return spec.kind in estimator_names()
+
+
+def is_paced(spec: MethodSpec) -> bool:
+    """Whether frames wait until they are due, where nothing else is asked for."""
+    return spec.kind in IMPROVES_BETWEEN_FRAMES
+
+
+def _degraded(estimate: Estimate) -> int:
+    reasons = getattr(estimate, "degradation", None)
+    return NOT_SAID if reasons is None else int(bool(reasons))
+
+
+def _checked(frame: _Frame) -> _Frame:
+    if not np.isfinite(frame.displacement).all() or (  # type: ignore[arg-type]
+        frame.sigma is not None and not np.isfinite(frame.sigma).all()
+    ):
+        raise SoftTissueError("the estimate has numbers that are not finite")
+    return frame
+
+
+def _reason(error: Exception) -> str:
+    return str(error) if isinstance(error, SoftTissueError) else f"{type(error).__name__}: {error}"
+
+
+def _case(stream: Stream, organ: Organ, observation: Observation, frame: int) -> EvaluationCase:
+    return EvaluationCase(
+        name=stream.name,
+        organ=organ,
+        observation=observation,
+        points=stream.inner,
+        truth=stream.truth[frame],
+        visible=np.zeros(len(stream.inner), dtype=bool),
+        depth=stream.depth,
+        volume=stream.volume,
+    )
+
+
+def _gathered(
+    stream: Stream, clouds: Clouds, index: NDArray[np.int64], frames: list[_Frame]
+) -> StreamAnswers:
+    count = len(stream.inner)
+    error = np.full((len(frames), count, 3), np.nan, dtype=np.float32)
+    sigma = np.full((len(frames), count), np.nan, dtype=np.float32)
+    for row, (number, frame) in enumerate(zip(index, frames, strict=True)):
+        if frame.displacement is not None:
+            error[row] = frame.displacement - stream.truth[clouds.frames[number]]
+        if frame.sigma is not None:
+            sigma[row] = frame.sigma
+    return StreamAnswers(
+        index,
+        np.array([frame.failure is None for frame in frames]),
+        error,
+        sigma,
+        np.array([frame.seconds for frame in frames], dtype=np.float32),
+        np.array([frame.processor_s for frame in frames], dtype=np.float32),
+        np.array([frame.degraded for frame in frames], dtype=np.int8),
+        dict(Counter(frame.failure for frame in frames if frame.failure is not None)),
+        clouds.event,
+    )
