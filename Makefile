@@ -1,7 +1,7 @@
 # The commands of this repository; `make help` lists them.
 
 PYTHON ?= python3.11
-# make build TORCH=cuda: PyTorch's CUDA build, gigabytes, also where there is no NVIDIA GPU.
+# make build TORCH=cuda: no word about the gigabytes of PyTorch's CUDA build.
 # For example: make test TESTS=tests/estimator PYTEST_ARGS="-k organ -x"; make demo DEMO_ARGS=--help.
 TESTS ?= tests
 PYTEST_ARGS ?=
