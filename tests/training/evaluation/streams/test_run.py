@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -44,6 +46,12 @@ def summary(out):
 def finished(tmp_path_factory):
     out = tmp_path_factory.mktemp("real")
     return out, run(out)
+
+
+@pytest.fixture
+def again(finished, tmp_path):
+    """A copy of it, to run other things in."""
+    return Path(shutil.copytree(finished[0], tmp_path / "again"))
 
 
 def test_every_condition_is_counted_from_the_streams(finished):
@@ -117,8 +125,8 @@ def without_time(rows):
     }
 
 
-def test_an_estimator_that_fails_spoils_nothing_for_others(finished, monkeypatch):
-    out, _ = finished
+def test_an_estimator_that_fails_spoils_nothing_for_others(again, monkeypatch):
+    out = again
     before = summary(out)["common_frames"]["rigid"]
 
     def fragile(case):
@@ -138,8 +146,8 @@ def test_an_estimator_that_fails_spoils_nothing_for_others(finished, monkeypatch
     assert "- fragile, `exact`: 8 times, such as: no equilibrium of moving_00000" in text
 
 
-def test_an_earlier_run_is_shown_beside(finished, tmp_path):
-    out, _ = finished
+def test_an_earlier_run_is_shown_beside(again, tmp_path):
+    out = again
     path = tmp_path / "earlier.json"
     earlier = summary(out)
     for kind in FIGURES:
@@ -184,9 +192,9 @@ def test_the_plan_has_twenty_organs_or_four():
     assert make_plan(("random",), {}).streams is None
 
 
-def test_the_command_reports(finished, capsys, monkeypatch):
+def test_the_command_reports(again, capsys, monkeypatch):
     """Every tenth frame is asked for, as without tests, and a process answers."""
-    out, _ = finished
+    out = again
     monkeypatch.setattr(planning, "make_plan", lambda *given, **options: planning.Plan((), (), PLAN))
     arguments = ["benchmark", "--suites", "real", "--quick", "--out", str(out), "--workers", "1"]
     assert main([*arguments, "--estimators", "zero", "--label", "zero=nothing"]) == 0
