@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
-import igl
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
@@ -160,11 +159,7 @@ def wander(stream: Stream, rng: np.random.Generator, pose: int, *, rms_m: float)
     field = smooth_field(stream.reference, stream.times, 3, FIELD_LENGTH_M, WANDER_S, rng)
     field -= (field * stream.normals).sum(axis=-1, keepdims=True) * stream.normals
     field = with_rms(field, rms_m)
-    surface = stream.organ.surface
-    points = np.empty_like(stream.points)
-    for frame, slide in enumerate(field):
-        slid = igl.point_mesh_squared_distance(stream.reference + slide, surface.vertices, surface.faces)[2]
-        points[frame] = stream.present(np.asarray(slid), slice(frame, frame + 1))[0]
+    points = stream.present_by_frame(stream.reference + field)
     return replace(exact(stream, rng, pose), points=points + stream.noise)
 
 

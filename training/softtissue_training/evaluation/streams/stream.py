@@ -107,15 +107,27 @@ class Stream:
         """Observed present positions with noise and nothing else wrong, (f, k, 3) m."""
         return self.present(self.reference) + self.noise
 
-    def present(self, material: FloatArray, frames: slice = slice(None)) -> FloatArray:
-        """Where points (k, 3) m of the preoperative surface are in the chosen frames, (f, k, 3) m."""
+    def present(self, material: FloatArray) -> FloatArray:
+        """Where points (k, 3) m nearest to the preoperative surface are in every frame, (f, k, 3) m."""
+        closest, corners, weights = self._located(material)
+        return np.asarray(closest + np.einsum("ka,fkac->fkc", weights, self.surface_moved[:, corners]))
+
+    def present_by_frame(self, material: FloatArray) -> FloatArray:
+        """Do the same where each frame has points of its own, (f, k, 3) m of the preoperative surface."""
+        frames, count, _ = material.shape
+        closest, corners, weights = self._located(material.reshape(-1, 3))
+        frame = np.repeat(np.arange(frames), count)[:, None]
+        moved = np.einsum("ka,kac->kc", weights, self.surface_moved[frame, corners])
+        return np.asarray((closest + moved).reshape(material.shape))
+
+    def _located(self, points: FloatArray) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Find the nearest points of the preoperative surface, (k, 3) m, their faces' corners and weights, (k, 3)."""
         surface = self.organ.surface
-        _, face, closest = igl.point_mesh_squared_distance(material, surface.vertices, surface.faces)
+        _, face, closest = igl.point_mesh_squared_distance(points, surface.vertices, surface.faces)
         corners = surface.faces[np.asarray(face)]
         ends = (np.ascontiguousarray(surface.vertices[corners[:, i]]) for i in range(3))
-        weights = np.asarray(igl.barycentric_coordinates(np.ascontiguousarray(closest), *ends))
-        moved = np.einsum("ka,fkac->fkc", weights, self.surface_moved[frames][:, corners])
-        return np.asarray(closest + moved)
+        weights = igl.barycentric_coordinates(np.ascontiguousarray(closest), *ends)
+        return np.asarray(closest), corners, np.asarray(weights)
 
     @cached_property
     def centre(self) -> FloatArray:
