@@ -89,6 +89,11 @@ class Responder:
         return self._engine is not None
 
     @property
+    def engine(self) -> Engine | None:
+        """Organ and estimator at work."""
+        return self._engine
+
+    @property
     def setup(self) -> Setup:
         """Names of what is at work."""
         engine = self._engine
@@ -118,13 +123,16 @@ class Responder:
         if before is not None and before is not engine:
             before.estimator.close()
 
-    def exchange(self, engine: Engine) -> bool:
-        """Change the engine if there is one already; return whether it was changed."""
+    def exchange(self, before: Engine, engine: Engine) -> bool:
+        """Change the engine between two answers if it is still the one from before; return whether it was changed."""
         with self._lock:
-            if self._engine is None:
+            if self._engine is not before:
                 return False
-            self.use(engine)
-            return True
+            self._forget()
+            self._engine = engine
+        # Outside of the lock: its thread may be in the middle of something, and answers need not wait for that.
+        before.estimator.close()
+        return True
 
     def reset(self) -> None:
         """Forget the present estimate and all counts; frames in work are not answered."""
