@@ -6,17 +6,16 @@ read: only what a child has just written into a private folder may be, never a f
 
 import io
 import pickle
-import struct
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
 
 _TENSOR, _DEVICE = "tensor", "device"
-_SIZE = struct.Struct("<Q")
 
 
 def write_objects(path: Path, objects: Any) -> None:
@@ -31,7 +30,7 @@ def write_objects(path: Path, objects: Any) -> None:
     _Pickler(stream, protocol=5, buffer_callback=buffers.append).dump(objects)
     parts = [stream.getbuffer(), *(buffer.raw() for buffer in buffers)]
     with path.open("wb") as file:
-        file.write(b"".join(_SIZE.pack(size) for size in (len(parts), *(part.nbytes for part in parts))))
+        file.write(np.array([len(parts), *(part.nbytes for part in parts)], dtype=np.uint64).tobytes())
         for part in parts:
             file.write(part)
 
@@ -45,18 +44,17 @@ def read_objects(path: Path, device: torch.device) -> Any:
         If the file is cut off.
     """
     with path.open("rb") as file:
-        (count,) = _SIZE.unpack(_read(file, _SIZE.size))
-        sizes = [_SIZE.unpack(_read(file, _SIZE.size))[0] for _ in range(count)]
+        (count,) = _read(file, 1, np.uint64)
         # Each in memory of its own, which is given back with the array that lies in it.
-        stream, *buffers = (_read(file, size) for size in sizes)
-    return _Unpickler(io.BytesIO(stream), buffers, device).load()
+        stream, *buffers = [_read(file, int(size), np.uint8) for size in _read(file, int(count), np.uint64)]
+    return _Unpickler(io.BytesIO(stream.tobytes()), buffers, device).load()
 
 
-def _read(file: io.BufferedReader, size: int) -> bytearray:
-    part = bytearray(size)
-    got = file.readinto(part)
-    if got != size:
-        raise InvalidInputError(f"handed over objects: expected {size} bytes, got {got}")
+def _read(file: io.BufferedReader, count: int, kind: type[np.generic]) -> NDArray[Any]:
+    # Unlike Python's own reading it neither writes zeros first nor holds Python's lock meanwhile.
+    part = np.fromfile(file, dtype=kind, count=count)
+    if len(part) != count:
+        raise InvalidInputError(f"handed over objects: expected {count} numbers, got {len(part)}")
     return part
 
 
@@ -69,7 +67,7 @@ class _Pickler(pickle.Pickler):
 
 
 class _Unpickler(pickle.Unpickler):
-    def __init__(self, stream: BinaryIO, buffers: list[bytearray], device: torch.device) -> None:
+    def __init__(self, stream: BinaryIO, buffers: list[NDArray[Any]], device: torch.device) -> None:
         super().__init__(stream, buffers=buffers)
         self._device = device
 

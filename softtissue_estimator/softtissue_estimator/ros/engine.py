@@ -77,8 +77,6 @@ def load_engine(
     began = time.monotonic()
     try:
         organ, estimator = (_ready_elsewhere if elsewhere else _ready_here)(request, say)
-        # Libraries set themselves up in the first estimate, which would make the first cloud late.
-        estimator.estimate(unmoved(organ, config))
         points, markers = AnswerBuffer(organ), MarkerBuffer(organ, config.no_data_timeout_s)
     except MemoryError as error:
         raise too_large(path) from error
@@ -94,6 +92,8 @@ def _ready_here(request: Request, say: Callable[[str], None]) -> tuple[Organ, Es
         organ = load_organ(request.folder, request.roots)
     estimator = create_estimator(request.config)
     estimator.load_organ(organ, say)
+    # Libraries set themselves up in the first estimate, which would make the first cloud late.
+    estimator.estimate(unmoved(organ, request.config))
     return organ, estimator
 
 

@@ -12,6 +12,7 @@ from softtissue_estimator.ros.boundary import Boundary
 from softtissue_estimator.ros.engine import load_engine
 from softtissue_estimator.ros.responder import Responder
 from softtissue_estimator.ros.service_calls import ServiceCalls
+from softtissue_estimator.support.memory import give_back
 from softtissue_estimator.support.sentences import one_sentence
 
 _BUSY = "expected one organ at a time, got another call while one loads"
@@ -41,7 +42,12 @@ class OrganLoading:
         self, request: LoadOrgan.Request, response: LoadOrgan.Response, executor: Any
     ) -> LoadOrgan.Response:
         """Load the organ of a request."""
-        if not await self._calls.done(lambda: self._load(request.folder, response), executor):
+
+        def work() -> None:
+            self._load(request.folder, response)
+            give_back()  # now that nothing holds the engine from before
+
+        if not await self._calls.done(work, executor):
             _not_loaded(response, LoadOrgan.Response.BUSY, _BUSY)
         return response
 
@@ -57,6 +63,7 @@ class OrganLoading:
             self._boundary.error(said)
             _not_loaded(response, LoadOrgan.Response.INVALID_ORGAN, said)
             return
+        self._responder.rehearse(engine)
         if self._responder.exchange(before, engine):
             _loaded(response, engine.organ)
         else:

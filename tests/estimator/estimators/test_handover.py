@@ -53,5 +53,5 @@ def test_file_that_is_cut_off_is_a_sentence(tmp_path, share):
     write_objects(path, np.zeros(1000))
     whole = path.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
-    with pytest.raises(InvalidInputError, match="expected .* bytes, got"):
+    with pytest.raises(InvalidInputError, match="expected .* numbers, got"):
         read_objects(path, CPU)
