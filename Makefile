@@ -10,6 +10,10 @@ DEMO_ARGS ?=
 QUICK ?=
 BENCH_ARGS ?=
 PAIRS ?= 200
+# make soak MINUTES=1; SOAK_ARGS=--help.
+MINUTES ?= 10
+RATE ?= 3
+SOAK_ARGS ?=
 
 VENV_STAMP := .venv/.installed
 BUILD_STAMP := ros2_ws/install/.built
@@ -26,7 +30,7 @@ BUILD_INPUTS := scripts/build_workspace scripts/env.sh \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: bench bench-gpu build clean demo distclean docs format help lint signals test venv verify
+.PHONY: bench bench-gpu build clean demo distclean docs format help lint signals soak test venv verify
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -50,6 +54,9 @@ test: $(BUILD_STAMP) ## all tests, in the built workspace
 
 signals: $(BUILD_STAMP) ## pairs of signals to the node at random moments, about 8 s each; PAIRS=200
 	@scripts/run python tests/integration/signal_pairs.py $(PAIRS)
+
+soak: $(BUILD_STAMP) ## the bundled bag at RATE times its rate, another organ every 20 s, out/soak/soak.json; MINUTES=10 RATE=3
+	@scripts/run python tests/integration/soak.py --minutes $(MINUTES) --rate $(RATE) $(SOAK_ARGS)
 
 verify: $(VENV_STAMP) ## the physics alone: tests/verification; needs no built workspace
 	@echo "==> Verifying the simulations"

@@ -123,8 +123,8 @@ class NodeProcess:
             sys.stderr.write(f"--- {self.log}\n{self.text}\n")
 
 
-class Client:
-    """A plain rclpy program that publishes clouds and hears the answers."""
+class PlainClient:
+    """A plain rclpy program."""
 
     def __init__(self, domain: int, name: str = "softtissue_estimator"):
         os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -137,14 +137,6 @@ class Client:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.name = name
-        self.answers: list[PointCloud2] = []
-        self.statuses: list[EstimatorStatus] = []
-        qos = QoSProfile(depth=100)
-        self.node.create_subscription(PointCloud2, f"{name}/deformed_points", self.answers.append, qos)
-        self.node.create_subscription(EstimatorStatus, f"{name}/status", self.statuses.append, qos)
-        self.clouds = self.node.create_publisher(PointCloud2, "surface_points", 10)
-        self.pairs = self.node.create_publisher(Correspondences, "correspondences", 10)
-        self.registrations = self.node.create_publisher(TransformStamped, "registration", 10)
 
     def __enter__(self):
         return self
@@ -163,10 +155,39 @@ class Client:
         """Spin until the condition holds, and return its value."""
         end = time.monotonic() + timeout
         while not (value := condition()):
-            newest = self.statuses[-1] if self.statuses else None
-            assert time.monotonic() < end, f"no {what} within {timeout} s; newest status: {newest}"
+            assert time.monotonic() < end, f"no {what} within {timeout} s; {self.said()}"
             self.executor.spin_once(timeout_sec=0.05)
         return value
+
+    def said(self) -> str:
+        """What the node said last."""
+        return "nothing was heard"
+
+    def call(self, kind, service: str, request, timeout: float = 60.0):
+        client = self.node.create_client(kind, f"{self.name}/{service}")
+        self.wait(client.service_is_ready, f"service {service}", timeout)
+        future = client.call_async(request)
+        self.wait(future.done, f"response of {service}", timeout)
+        self.node.destroy_client(client)
+        return future.result()
+
+
+class Client(PlainClient):
+    """A program that publishes clouds and hears the answers."""
+
+    def __init__(self, domain: int, name: str = "softtissue_estimator"):
+        super().__init__(domain, name)
+        self.answers: list[PointCloud2] = []
+        self.statuses: list[EstimatorStatus] = []
+        qos = QoSProfile(depth=100)
+        self.node.create_subscription(PointCloud2, f"{name}/deformed_points", self.answers.append, qos)
+        self.node.create_subscription(EstimatorStatus, f"{name}/status", self.statuses.append, qos)
+        self.clouds = self.node.create_publisher(PointCloud2, "surface_points", 10)
+        self.pairs = self.node.create_publisher(Correspondences, "correspondences", 10)
+        self.registrations = self.node.create_publisher(TransformStamped, "registration", 10)
+
+    def said(self) -> str:
+        return f"newest status: {self.statuses[-1] if self.statuses else None}"
 
     def wait_until_connected(self, timeout: float = 60.0) -> None:
         """Wait until the node answers clouds: it subscribes when it is active."""
@@ -182,14 +203,6 @@ class Client:
 
         self.wait(connected, "active node", timeout)
         self.spin(0.2)  # the node's side of the match
-
-    def call(self, kind, service: str, request, timeout: float = 60.0):
-        client = self.node.create_client(kind, f"{self.name}/{service}")
-        self.wait(client.service_is_ready, f"service {service}", timeout)
-        future = client.call_async(request)
-        self.wait(future.done, f"response of {service}", timeout)
-        self.node.destroy_client(client)
-        return future.result()
 
     def status_of(self, stamp: int, timeout: float = 30.0) -> EstimatorStatus:
         """Status of the cloud with a stamp (nanoseconds)."""

@@ -19,10 +19,13 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parents[1]))
     sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 
-from integration.harness import NodeProcess, write_organ
+from softtissue_msgs.srv import LoadOrgan
+
+from integration.harness import NodeProcess, PlainClient, write_organ
 from ros_domain import reserved
 
 LONGEST_S = 3.0
+LOADING_SHARE = 0.7  # of the longest time before a signal: about what a load takes
 _SEGMENT = re.compile(r"/dev/shm/fastdds_(?!port)\w+$")
 
 
@@ -77,8 +80,10 @@ def running(process: int) -> bool:
     return state != "Z"
 
 
-def try_pair(domain: int, folder: Path, organ: Path, cache: Path, rng: random.Random) -> Ending:
-    """Start a node, send it two signals at random moments, and look what is left."""
+def try_pair(
+    domain: int, folder: Path, organ: Path, cache: Path, rng: random.Random, loading: bool = False
+) -> Ending:
+    """Start a node, send it two signals at random moments, while it loads an organ by service say; what is left?"""
     scratch = folder / "tmp"
     scratch.mkdir(parents=True)
     after_s, gap_s = rng.uniform(0.0, 9.0), rng.choice([0.0, rng.uniform(0.0, 0.01), rng.uniform(0.0, 1.5)])
@@ -92,6 +97,9 @@ def try_pair(domain: int, folder: Path, organ: Path, cache: Path, rng: random.Ra
             os.environ.pop(name) if value is None else os.environ.update({name: value})
     with node:
         wait_for_handlers(node)
+        if loading:
+            load_by_service(domain, node, organ, cache)
+            after_s *= LOADING_SHARE
         time.sleep(after_s)
         started, segments = children(node.process.pid), shared_memory(node.process.pid)
         began = time.monotonic()
@@ -106,6 +114,18 @@ def try_pair(domain: int, folder: Path, organ: Path, cache: Path, rng: random.Ra
         left += [str(path) for path in scratch.iterdir()] + [str(path) for path in cache.rglob("*.part")]
         left += [segment for segment in segments if Path(segment).exists()]
         return Ending(after_s, gap_s, code, took_s, tuple(left), node.text)
+
+
+def load_by_service(domain: int, node: NodeProcess, organ: Path, cache: Path):
+    """Have the node load an organ whose results are not cached; wait for the process that prepares it."""
+    node.wait_for_text("answering clouds")
+    for file in cache.rglob("*.npz"):
+        file.unlink()
+    with PlainClient(domain) as client:
+        service = client.node.create_client(LoadOrgan, f"{client.name}/load_organ")
+        client.wait(service.service_is_ready, "service load_organ")
+        service.call_async(LoadOrgan.Request(folder=str(organ)))
+        client.wait(lambda: children(node.process.pid), "process that prepares the organ")
 
 
 def wait_for_handlers(node: NodeProcess) -> None:
@@ -128,7 +148,7 @@ def try_pairs(count: int, folder: Path, seed: int):
         for file in cache.rglob("*.npz") if rng.random() < 0.6 else ():
             file.unlink()
         with reserved() as domain:
-            yield try_pair(domain, folder / f"node{number}", organ, cache, rng)
+            yield try_pair(domain, folder / f"node{number}", organ, cache, rng, rng.random() < 0.4)
 
 
 def main() -> int:

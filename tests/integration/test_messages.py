@@ -122,7 +122,10 @@ def test_nan_stands_for_no_answer():
     ("message", "constants"),
     [
         (EstimatorStatus, {"OK": 0, "DEGRADED": 1, "INVALID": 2}),
-        (LoadOrgan.Response, {"SUCCESS": 0, "INVALID_ORGAN": 1, "NOT_CONFIGURED": 2, "INTERNAL_ERROR": 3}),
+        (
+            LoadOrgan.Response,
+            {"SUCCESS": 0, "INVALID_ORGAN": 1, "NOT_CONFIGURED": 2, "INTERNAL_ERROR": 3, "BUSY": 4},
+        ),
         (
             WarpPoints.Response,
             {
@@ -132,9 +135,10 @@ def test_nan_stands_for_no_answer():
                 "WRONG_FRAME": 3,
                 "NOT_ACTIVE": 4,
                 "INTERNAL_ERROR": 5,
+                "BUSY": 6,
             },
         ),
-        (Reset.Response, {"SUCCESS": 0, "NOT_CONFIGURED": 1, "INTERNAL_ERROR": 2}),
+        (Reset.Response, {"SUCCESS": 0, "NOT_CONFIGURED": 1, "INTERNAL_ERROR": 2, "BUSY": 3}),
     ],
 )
 def test_constants_keep_their_values(message, constants):

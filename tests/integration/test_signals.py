@@ -50,6 +50,7 @@ def test_a_storm_of_signals_is_one_request():
 def test_program_that_cannot_stop_ends_at_last():
     body = """
     stop = StopRequest(0.5)
+    stop.begin()
     print("ready", flush=True)
     while True:
         time.sleep(0.01)
@@ -60,3 +61,32 @@ def test_program_that_cannot_stop_ends_at_last():
         began = time.monotonic()
         assert process.wait(5.0) == 0
         assert time.monotonic() - began < 2.0
+
+
+def test_program_that_still_imports_ends_at_once():
+    body = """
+    stop = StopRequest(60.0)
+    print("ready", flush=True)
+    end = time.monotonic() + 20.0
+    while time.monotonic() < end:
+        pass
+    stop.begin()
+    """
+    with subprocess.Popen(program(body), stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGINT)
+        began = time.monotonic()
+        assert process.wait(30.0) == 0
+        assert time.monotonic() - began < 5.0
+
+
+def test_program_asked_to_end_while_it_imported_does_not_begin():
+    body = """
+    stop = StopRequest()
+    os.kill(os.getpid(), signal.SIGTERM)
+    stop.begin()
+    print("begun", flush=True)
+    """
+    with subprocess.Popen(program(body), stdout=subprocess.PIPE, text=True) as process:
+        assert process.wait(30.0) == 0
+        assert process.stdout.read() == ""

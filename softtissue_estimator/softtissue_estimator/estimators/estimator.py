@@ -3,6 +3,7 @@
 import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +84,30 @@ class Estimator(ABC):
         SoftTissueError
             If the organ cannot be used; the organ loaded before stays in use.
         """
+
+    def precompute(self, organ: Organ, progress: Progress = silent) -> Any:
+        """Compute what is slow in `load_organ`, which another process may do; loads nothing.
+
+        Parameters
+        ----------
+        organ, progress
+            As of `load_organ`.
+
+        Returns
+        -------
+        object
+            For `take_over`: arrays, tensors and plain objects, which pickle. None where all is done in `take_over`.
+
+        Raises
+        ------
+        SoftTissueError
+            If the organ cannot be used.
+        """
+        return None
+
+    def take_over(self, organ: Organ, computed: Any, progress: Progress = silent) -> None:
+        """Prepare for an organ with what `precompute` made of it; else as `load_organ`."""
+        self.load_organ(organ, progress)
 
     @abstractmethod
     def estimate(self, observation: Observation) -> Estimate:

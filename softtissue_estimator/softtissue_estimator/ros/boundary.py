@@ -53,8 +53,9 @@ class Boundary:
             self._log.warning(one_sentence(text))
 
     def error(self, text: str) -> None:
-        """Log an error."""
-        self._log.error(one_sentence(text))
+        """Log an error, the same one only so often."""
+        if self._throttle.due(text, time.monotonic()):
+            self._log.error(one_sentence(text))
 
     def sentence(self, where: str, error: BaseException) -> str:
         """Say in a sentence what was raised; what nobody expected is counted and logged.

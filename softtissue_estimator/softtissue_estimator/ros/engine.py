@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.errors import OrganError
 from softtissue_estimator.estimators.estimator import Estimator, create_estimator
+from softtissue_estimator.estimators.preparation import Request, prepare_elsewhere, too_large
 from softtissue_estimator.organ.organ import Organ, load_organ
-from softtissue_estimator.organ.organ_file import FILE_NAME
+from softtissue_estimator.organ.organ_file import FILE_NAME, read_organ_file
 from softtissue_estimator.ros.frames import unmoved
 from softtissue_estimator.ros.outputs.answer_buffer import AnswerBuffer
 from softtissue_estimator.ros.outputs.markers import MarkerBuffer
@@ -48,7 +48,9 @@ def organ_roots(config: EstimatorConfig) -> tuple[Path, ...]:
     return tuple(dict.fromkeys(roots))
 
 
-def load_engine(folder: str, config: EstimatorConfig, say: Callable[[str], None]) -> Engine:
+def load_engine(
+    folder: str, config: EstimatorConfig, say: Callable[[str], None], elsewhere: bool = False
+) -> Engine:
     """Load an organ and prepare an estimator for it: seconds the first time.
 
     Parameters
@@ -58,27 +60,48 @@ def load_engine(folder: str, config: EstimatorConfig, say: Callable[[str], None]
     config : EstimatorConfig
     say : callable
         Told in a sentence what is going on.
+    elsewhere : bool
+        Whether another process does most of it, so that an engine at work goes on answering.
 
     Raises
     ------
     SoftTissueError
         If organ or estimator cannot be used.
+    WorkerError
+        If the other process raised what nobody expected.
     """
     path = Path(folder) if folder else bundled_organ()
+    request = Request(path, organ_roots(config), config)
+    read_organ_file(path, request.roots)  # what is wrong with the folder itself is said at once
     say(f"loading organ {path}")
     began = time.monotonic()
-    with log_lines(say):
-        organ = load_organ(path, organ_roots(config))
     try:
-        estimator = create_estimator(config)
-        estimator.load_organ(organ, say)
-        # Libraries set themselves up in the first estimate, which would make the first cloud late.
-        estimator.estimate(unmoved(organ, config))
+        organ, estimator = (_ready_elsewhere if elsewhere else _ready_here)(request, say)
         points, markers = AnswerBuffer(organ), MarkerBuffer(organ, config.no_data_timeout_s)
     except MemoryError as error:
-        raise OrganError(f"organ {path}: expected one that fits into memory, got one too large") from error
+        raise too_large(path) from error
     say(
         f"organ {organ.name!r} with {len(organ.structures)} structures is ready after"
         f" {time.monotonic() - began:.1f} s: estimator {estimator.name!r} on {estimator.device}"
     )
     return Engine(organ, estimator, points, markers)
+
+
+def _ready_here(request: Request, say: Callable[[str], None]) -> tuple[Organ, Estimator]:
+    with log_lines(say):
+        organ = load_organ(request.folder, request.roots)
+    estimator = create_estimator(request.config)
+    estimator.load_organ(organ, say)
+    # Libraries set themselves up in the first estimate, which would make the first cloud late.
+    estimator.estimate(unmoved(organ, request.config))
+    return organ, estimator
+
+
+def _ready_elsewhere(request: Request, say: Callable[[str], None]) -> tuple[Organ, Estimator]:
+    prepared = prepare_elsewhere(request, say)
+    estimator = create_estimator(request.config)
+    if prepared.computed is None:
+        estimator.load_organ(prepared.organ, say)
+    else:
+        estimator.take_over(prepared.organ, prepared.computed, say)
+    return prepared.organ, estimator

@@ -1,6 +1,7 @@
 """The managed node `softtissue_estimator`: parameters, services, life cycle. The work is done elsewhere."""
 
-import threading
+import math
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -22,12 +23,20 @@ from softtissue_estimator.ros import parameters
 from softtissue_estimator.ros.boundary import Boundary
 from softtissue_estimator.ros.bounded import BoundedNode
 from softtissue_estimator.ros.cloud_stream import CloudStream
-from softtissue_estimator.ros.engine import Engine, load_engine
+from softtissue_estimator.ros.engine import load_engine
 from softtissue_estimator.ros.inputs.counters import FrameCounters
 from softtissue_estimator.ros.inputs.registration import Registration, tf_source
+from softtissue_estimator.ros.organ_loading import OrganLoading
 from softtissue_estimator.ros.outputs.status import diagnostics_message
 from softtissue_estimator.ros.responder import Outputs, Responder
-from softtissue_estimator.ros.services import answer_warp, loaded
+from softtissue_estimator.ros.service_calls import ServiceCalls
+from softtissue_estimator.ros.services import (
+    MOST_WARPS,
+    RESET_PERIOD_S,
+    answer_warp,
+    refuse_reset,
+    refuse_warp,
+)
 
 NAME = "softtissue_estimator"
 STOP_TIMEOUT_S = 2.0
@@ -74,7 +83,9 @@ class EstimatorNode(BoundedNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
         self._responder = Responder(outputs, self._counters, self._registration, lambda: self._config)
         self._stream = CloudStream(self, self._responder, self._counters, self._registration, self.boundary)
-        self._loading = threading.Lock()
+        self._organ_loading = OrganLoading(self._responder, lambda: self._config, self.boundary)
+        self._warps = ServiceCalls("warp points", MOST_WARPS)
+        self._reset_s = -math.inf
         self._create_services()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.1, self._stream.expire, clock=steady)
@@ -171,7 +182,7 @@ class EstimatorNode(BoundedNode):
 
     def _configure(self) -> None:
         self._config = parameters.read_config(self)
-        self._responder.use(self._load(self._config.organ))
+        self._responder.use(load_engine(self._config.organ, self._config, self.boundary.info))
 
     def _activate(self) -> None:
         self._responder.reset()
@@ -188,9 +199,6 @@ class EstimatorNode(BoundedNode):
     def close(self, timeout_s: float) -> bool:
         """Stop working; return whether its threads ended in time."""
         return self._stream.stop_threads(timeout_s)
-
-    def _load(self, folder: str) -> Engine:
-        return load_engine(folder, self._config, self.boundary.info)
 
     # Timers
 
@@ -211,49 +219,21 @@ class EstimatorNode(BoundedNode):
 
     # Services
 
-    async def _in_thread(self, work: Callable[[], None]) -> None:
-        """Await work done in a thread of its own, so that clouds are taken meanwhile."""
-        future = self.executor.create_future()
-
-        def run() -> None:
-            try:
-                work()
-                future.set_result(None)
-            except Exception as error:
-                future.set_exception(error)  # raised again where the result is awaited
-            # The executor looks at the awaiting callback again only when something wakes it.
-            self.executor.wake()
-
-        threading.Thread(target=run, name="service", daemon=True).start()
-        await future
-
     async def _on_load_organ(
         self, request: LoadOrgan.Request, response: LoadOrgan.Response
     ) -> LoadOrgan.Response:
-        await self._in_thread(lambda: self._load_organ(request.folder, response))
-        return response
-
-    def _load_organ(self, folder: str, response: LoadOrgan.Response) -> None:
-        try:
-            with self._loading:
-                engine = self._load(folder) if self._responder.configured else None
-                # Asked again: the node may have been cleaned up meanwhile.
-                if engine is None or not self._responder.exchange(engine):
-                    loaded(
-                        response, None, "expected an inactive or active node, got one that is not configured"
-                    )
-                else:
-                    loaded(response, engine.organ)
-        except SoftTissueError as error:
-            said = self.boundary.sentence("load_organ", error)
-            self.boundary.error(said)
-            loaded(response, None, said, invalid=True)
+        return await self._organ_loading.answer(request, response, self.executor)
 
     async def _on_warp_points(
         self, request: WarpPoints.Request, response: WarpPoints.Response
     ) -> WarpPoints.Response:
         active, answer = self._stream.is_open, self._responder.answer
-        await self._in_thread(lambda: answer_warp(request, response, active, answer, self._registration))
+
+        def warp() -> None:
+            answer_warp(request, response, active, answer, self._registration)
+
+        if not await self._warps.done(warp, self.executor):
+            refuse_warp(response)
         return response
 
     def _on_reset(self, _request: Reset.Request, response: Reset.Response) -> Reset.Response:
@@ -261,6 +241,11 @@ class EstimatorNode(BoundedNode):
             response.result = Reset.Response.NOT_CONFIGURED
             response.message = "expected an inactive or active node, got one that is not configured"
             return response
+        since_last_s = time.monotonic() - self._reset_s
+        if since_last_s < RESET_PERIOD_S:
+            refuse_reset(response, since_last_s)
+            return response
+        self._reset_s = time.monotonic()
         self._stream.clear()
         self._responder.reset()
         return response

@@ -3,7 +3,14 @@
 import sys
 import time
 
-from softtissue_estimator.ros.runtime import Spinner, StopRequest, leave, limit_threads, refusal_of_ros
+from softtissue_estimator.ros.runtime import (
+    Spinner,
+    StopRequest,
+    leave,
+    limit_threads,
+    refusal_of_ros,
+    take_short_turns,
+)
 
 # After a signal, s: how long callbacks and the estimate in work are waited for, and when the process ends at last.
 PATIENCE_S = 1.5
@@ -16,6 +23,7 @@ def main() -> None:
     """Run until SIGINT or SIGTERM (exit code 0); 2 after wrong files or parameters, 1 after a crash."""
     stop = StopRequest(END_S)
     limit_threads()
+    take_short_turns()
     import traceback
 
     import rclpy
@@ -26,8 +34,7 @@ def main() -> None:
     from softtissue_estimator.ros.inputs.transport import use_profile
 
     profile = use_profile()
-    if stop.event.is_set():  # the imports took a while
-        leave(stop.exit_code)
+    stop.begin()
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:

@@ -1,5 +1,6 @@
 """Answers frames and publishes what became of them."""
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable
@@ -80,6 +81,7 @@ class Responder:
         self._lock = threading.RLock()
         self._engine: Engine | None = None
         self._answer: Answer | None = None
+        self._newest: Frame | None = None
         self._report = Report(OK)
         self._epoch = 0
 
@@ -87,6 +89,11 @@ class Responder:
     def configured(self) -> bool:
         """Whether an organ and an estimator are loaded."""
         return self._engine is not None
+
+    @property
+    def engine(self) -> Engine | None:
+        """Organ and estimator at work."""
+        return self._engine
 
     @property
     def setup(self) -> Setup:
@@ -118,13 +125,28 @@ class Responder:
         if before is not None and before is not engine:
             before.estimator.close()
 
-    def exchange(self, engine: Engine) -> bool:
-        """Change the engine if there is one already; return whether it was changed."""
+    def rehearse(self, engine: Engine) -> None:
+        """Let an engine that is not yet at work answer the newest cloud.
+
+        In a stream a first answer takes several times as long as those that follow it.
+        """
+        frame = self._newest
+        if frame is None:
+            return
+        # What is wrong with the cloud, or with the engine, is said when a cloud comes that it is to answer.
+        with contextlib.suppress(Exception):
+            answer_frame(frame, engine.organ, engine.estimator, self._config(), self._registration)
+
+    def exchange(self, before: Engine, engine: Engine) -> bool:
+        """Change the engine between two answers if it is still the one from before; return whether it was changed."""
         with self._lock:
-            if self._engine is None:
+            if self._engine is not before:
                 return False
-            self.use(engine)
-            return True
+            self._forget()
+            self._engine = engine
+        # Outside of the lock: its thread may be in the middle of something, and answers need not wait for that.
+        before.estimator.close()
+        return True
 
     def reset(self) -> None:
         """Forget the present estimate and all counts; frames in work are not answered."""
@@ -134,7 +156,7 @@ class Responder:
             self._counters.clear()
 
     def _forget(self) -> None:
-        self._answer = None
+        self._answer = self._newest = None
         self._report = Report(OK)
         if self._engine is not None:
             self._engine.estimator.forget()
@@ -145,6 +167,7 @@ class Responder:
         engine, config = self._engine, self._config()
         if engine is None:
             return None
+        self._newest = frame
         try:
             answer = answer_frame(frame, engine.organ, engine.estimator, config, self._registration)
         except Exception as error:  # whatever it is, the cloud's sender is told

@@ -14,6 +14,8 @@ from typing import Any, NoReturn
 
 # Nothing heavy is imported here: signals must be caught before that begins.
 
+_SWITCH_INTERVAL_S = 0.0005
+
 
 def limit_threads() -> None:
     """Keep linear algebra on one thread unless the user has said otherwise; call before numpy is imported.
@@ -23,6 +25,15 @@ def limit_threads() -> None:
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+
+def take_short_turns() -> None:
+    """Let no thread keep Python's lock for long from one that asks for it.
+
+    A frame gives the lock away in each of some hundred calls of libraries. Where another thread runs in Python, it gets
+    the lock back only after a switch interval, of 5 ms unless said otherwise: a frame of 15 ms becomes one of a second.
+    """
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
 
 
 class StopEvent:
@@ -61,16 +72,24 @@ class StopRequest:
     Parameters
     ----------
     within_s : float, optional
-        The program ends after this time whatever it does: it may be importing, or wait for a thread that does not end.
+        The program ends after this time whatever it does: it may wait for a thread that does not end. Until `begin` is
+        called it has nothing to bring to an end, and ends at once.
     """
 
     def __init__(self, within_s: float | None = None) -> None:
         self.event = StopEvent()
         self.exit_code = 0
+        self._begun = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
         if within_s is not None:
             threading.Thread(target=self._end_at_last, args=(within_s,), name="end", daemon=True).start()
+
+    def begin(self) -> None:
+        """Say that the imports are done and the program begins; does not return if it was asked to end meanwhile."""
+        self._begun = True
+        if self.event.is_set():
+            leave(self.exit_code)
 
     def stop(self, exit_code: int = 0) -> None:
         """Ask the program to end; the first caller's exit code counts."""
@@ -85,7 +104,8 @@ class StopRequest:
         from softtissue_estimator.support import leftovers  # noqa: F401  # now, not when the time is up
 
         self.event.wait()
-        time.sleep(within_s)
+        if self._begun:
+            time.sleep(within_s)
         leave(self.exit_code)
 
 

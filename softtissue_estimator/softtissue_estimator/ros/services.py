@@ -1,13 +1,12 @@
-"""Answers to the node's services."""
+"""Answers to `~/warp_points` and `~/reset`."""
 
 from array import array
 
 import numpy as np
 from numpy.typing import NDArray
-from softtissue_msgs.srv import LoadOrgan, WarpPoints
+from softtissue_msgs.srv import Reset, WarpPoints
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.ros.frames import Answer
 from softtissue_estimator.ros.inputs.conversions import FARTHEST_M, doubles, time_message
 from softtissue_estimator.ros.inputs.registration import Registration, transform_points
@@ -15,21 +14,22 @@ from softtissue_estimator.support.sentences import one_sentence
 
 MOST_POINTS = 1_000_000
 """In one call of `~/warp_points`: a second or so, and 0.2 GB."""
+MOST_WARPS = 4
+"""Calls of `~/warp_points` in hand; others are refused."""
+RESET_PERIOD_S = 0.5
+"""Between two resets: each drops the clouds in work, so that with more of them hardly a cloud would be answered."""
 
 
-def loaded(
-    response: LoadOrgan.Response, organ: Organ | None, message: str = "", invalid: bool = False
-) -> None:
-    """Fill the answer of `~/load_organ`; `organ` is None when nothing was loaded."""
-    response.message = message
-    if organ is None:
-        response.result = LoadOrgan.Response.INVALID_ORGAN if invalid else LoadOrgan.Response.NOT_CONFIGURED
-        return
-    response.result = LoadOrgan.Response.SUCCESS
-    response.name = organ.name
-    response.structures = len(organ.structures)
-    response.vertices = len(organ.query_points)
-    response.message = one_sentence(f"loaded {organ.name!r} with {len(organ.structures)} structures")
+def refuse_warp(response: WarpPoints.Response) -> None:
+    """Answer a call of `~/warp_points` that comes while too many are in hand."""
+    response.result = WarpPoints.Response.BUSY
+    response.message = f"expected at most {MOST_WARPS} calls at a time, got one more"
+
+
+def refuse_reset(response: Reset.Response, since_last_s: float) -> None:
+    """Answer a call of `~/reset` that comes too soon after another."""
+    response.result = Reset.Response.BUSY
+    response.message = f"expected at least {RESET_PERIOD_S:g} s between two resets, got {since_last_s:.2f} s"
 
 
 def _checked(numbers: "array[float]") -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -21,6 +21,8 @@ from softtissue_estimator.errors import SoftTissueError
 
 _PREFIX = "softtissue_"
 _STALE_S = 3600.0  # older, and its process gone: nobody needs it (processes of other containers are not seen)
+_GRACE_S = 0.3  # for what a child may still clean up
+_LOOK_S = 0.05
 _MOST_PRINTED = 65_536  # bytes that are kept of what a program prints
 _CONTAINED = Path(__file__).with_name("contained.py")
 
@@ -52,7 +54,11 @@ def temporary_folder() -> Iterator[Path]:
 
 
 def run_contained(
-    program: Sequence[str], folder: Path, environment: Mapping[str, str], timeout_s: float
+    program: Sequence[str],
+    folder: Path,
+    environment: Mapping[str, str],
+    timeout_s: float,
+    say: Callable[[str], None] | None = None,
 ) -> "subprocess.CompletedProcess[str]":
     """Run a Python program in a process that ends with this one, and after `timeout_s` at the latest.
 
@@ -65,6 +71,8 @@ def run_contained(
     environment : mapping
     timeout_s : float
         s.
+    say : callable, optional
+        Takes every line that the program prints, soon after.
 
     Raises
     ------
@@ -90,13 +98,36 @@ def run_contained(
             )
             _children.add(child)
         try:
-            child.wait(timeout_s)
+            if say is None:
+                child.wait(timeout_s)
+            else:
+                _wait_telling(child, out, timeout_s, say)
         finally:
             _kill(child)
             child.wait()
             with _lock:
                 _children.discard(child)
         return subprocess.CompletedProcess(command, child.returncode, _end_of(out), _end_of(err))
+
+
+def _wait_telling(
+    child: "subprocess.Popen[bytes]", out: IO[bytes], timeout_s: float, say: Callable[[str], None]
+) -> None:
+    told, rest, end_s = 0, b"", time.monotonic() + timeout_s
+    ended = False
+    while not ended:
+        ended = child.poll() is not None
+        # Not by the file's own position, which is also the child's.
+        printed = os.pread(out.fileno(), _MOST_PRINTED, told)
+        told += len(printed)
+        *lines, rest = (rest + printed).split(b"\n")
+        for line in lines:
+            say(line.decode(errors="replace"))
+        ended = ended and not printed
+        if time.monotonic() > end_s:
+            raise subprocess.TimeoutExpired(child.args, timeout_s)
+        if not printed and not ended:
+            time.sleep(_LOOK_S)
 
 
 def _end_of(file: IO[bytes]) -> str:
@@ -110,6 +141,13 @@ def clear() -> None:
     global _ending
     with _lock:
         _ending = True
+        for child in _children:
+            # Some clean up after themselves.
+            with contextlib.suppress(OSError):
+                os.killpg(child.pid, signal.SIGTERM)
+        end_s = time.monotonic() + _GRACE_S
+        while time.monotonic() < end_s and any(child.poll() is None for child in _children):
+            time.sleep(0.005)
         for child in _children:
             _kill(child)
         for path in _paths:

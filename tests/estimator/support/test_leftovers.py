@@ -77,6 +77,77 @@ def test_nothing_is_left_after_a_bad_end(tmp_path, how):
     assert scratch(tmp_path) == []
 
 
+def test_lines_are_heard_while_the_program_runs(tmp_path):
+    path = script(
+        tmp_path,
+        """
+        import pathlib, sys, time
+        print("first", flush=True)
+        while not pathlib.Path("heard").exists():
+            time.sleep(0.01)
+        sys.stdout.write("second\\n" + 70_000 * "x" + "\\nno end of line")
+        """,
+    )
+    heard = []
+    with temporary_folder() as folder:
+
+        def hear(line):
+            heard.append(line)
+            (folder / "heard").touch()
+
+        assert run_contained([str(path)], folder, os.environ, PATIENCE_S, hear).returncode == 0
+    assert heard == ["first", "second", 70_000 * "x"]
+
+
+def test_program_that_says_nothing_still_ends_in_time(tmp_path):
+    path = script(tmp_path, "import time; time.sleep(60)")
+    with pytest.raises(subprocess.TimeoutExpired), temporary_folder() as folder:
+        run_contained([str(path)], folder, os.environ, 0.5, print)
+
+
+@pytest.mark.parametrize("patience", ["orderly", "stubborn"])
+def test_child_may_clean_up_but_not_take_its_time(tmp_path, patience):
+    number, trace = tmp_path / "number", tmp_path / "trace"
+    trace.touch()
+    path = script(
+        tmp_path,
+        f"""
+        import os, pathlib, signal, time
+        def end(*_):
+            {"time.sleep(60)" if patience == "stubborn" else ""}
+            pathlib.Path({str(trace)!r}).unlink()
+            os._exit(0)
+        signal.signal(signal.SIGTERM, end)
+        pathlib.Path({str(number)!r}).write_text(str(os.getpid()))
+        time.sleep(60)
+        """,
+    )
+    parent = f"""
+    import os, threading, time
+    from pathlib import Path
+    from softtissue_estimator.support.leftovers import clear, run_contained
+    threading.Thread(
+        target=run_contained, args=([{str(path)!r}], {str(tmp_path)!r}, os.environ, 60.0), daemon=True
+    ).start()
+    while not Path({str(number)!r}).exists() or not Path({str(number)!r}).read_text():
+        time.sleep(0.01)
+    began = time.monotonic()
+    clear()
+    print(time.monotonic() - began, flush=True)
+    os._exit(0)
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(parent)],
+        timeout=30.0,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    wait_for(lambda: gone(int(number.read_text())))
+    assert trace.exists() == (patience == "stubborn")
+    assert float(done.stdout) < 2.0
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a child does not learn of its parent's end")
 @pytest.mark.parametrize("end", ["leave", "kill"])
 def test_program_that_ends_takes_its_children_along(tmp_path, end):

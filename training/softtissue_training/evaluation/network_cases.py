@@ -89,7 +89,7 @@ def hybrid_case(organ: Organ, config: EstimatorConfig) -> NetworkCase:
     elastic = ElasticEstimator(config)
     elastic.load_organ(organ)
     try:
-        reader = make_reader(elastic, channels.grid.points()[cells.numpy()])
+        reader = make_reader(elastic.mesh, channels.grid.points()[cells.numpy()])
         estimate = elastic.estimate(_observation(organ, config))
     finally:
         elastic.close()

@@ -90,8 +90,16 @@ class ElasticEstimator(Estimator):
 
     def load_organ(self, organ: Organ, progress: Progress = silent) -> None:
         """See `Estimator.load_organ`."""
+        self.take_over(organ, self.precompute(organ, progress), progress)
+
+    def precompute(self, organ: Organ, progress: Progress = silent) -> ElasticModel:
+        """See `Estimator.precompute`."""
         with self._threads.limit(limits=1, user_api="blas"):
-            self._model = build_model(organ, self._config, self._device, progress)
+            return build_model(organ, self._config, self._device, progress)
+
+    def take_over(self, organ: Organ, computed: ElasticModel, progress: Progress = silent) -> None:
+        """See `Estimator.take_over`."""
+        self._model = computed
         self.forget()
 
     def forget(self) -> None:

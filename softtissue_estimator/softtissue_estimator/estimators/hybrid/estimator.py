@@ -13,6 +13,7 @@ from torch import Tensor
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import CheckpointError, InvalidInputError
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimate, ElasticEstimator
+from softtissue_estimator.estimators.elastic.model import ElasticModel
 from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progress, silent
 from softtissue_estimator.estimators.hybrid.checkpoint import load_hybrid_checkpoint
 from softtissue_estimator.estimators.hybrid.input import (
@@ -35,6 +36,16 @@ from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.organ.mesh import FloatArray
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.support.resources import bundled_checkpoint
+
+
+@dataclass(frozen=True, eq=False)
+class Precomputed:
+    """What an organ needs computed once, without the network."""
+
+    model: ElasticModel
+    channels: OrganChannels
+    cells: Tensor
+    reader: PosteriorReader
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,17 +120,26 @@ class HybridEstimator(Estimator):
 
     def load_organ(self, organ: Organ, progress: Progress = silent) -> None:
         """Prepare the elastic posterior, and where it is read on the network's grid."""
-        # Another one, so that the organ loaded before stays in use if this fails.
-        elastic = ElasticEstimator(self._config)
-        elastic.load_organ(organ, progress)
+        self.take_over(organ, self.precompute(organ, progress), progress)
+
+    def precompute(self, organ: Organ, progress: Progress = silent) -> Precomputed:
+        """See `Estimator.precompute`."""
+        model = self._elastic.precompute(organ, progress)
         grid = hybrid_grid(organ.surface, self._spec)
         channels = cached_channels(organ, grid)
         cells = posterior_cells(channels.signed_distance, grid.spacing)
-        reader = make_reader(elastic, grid.points()[cells.numpy()])
-        query = _positions(grid.index(organ.query_points), self._device)
+        return Precomputed(model, channels, cells, make_reader(model.mesh, grid.points()[cells.numpy()]))
+
+    def take_over(self, organ: Organ, computed: Precomputed, progress: Progress = silent) -> None:
+        """See `Estimator.take_over`."""
+        # Another one, so that the organ loaded before stays in use if this fails.
+        elastic = ElasticEstimator(self._config)
+        elastic.take_over(organ, computed.model, progress)
+        channels, cells = computed.channels.to(self._device), computed.cells.to(self._device)
+        query = _positions(channels.grid.index(organ.query_points), self._device)
         with self._threads():
             answer = self._ready(channels, query, progress)
-        self._prepared = _Prepared(channels.to(self._device), cells.to(self._device), reader, answer)
+        self._prepared = _Prepared(channels, cells, computed.reader, answer)
         self._elastic.close()
         self._elastic = elastic
 

@@ -8,9 +8,10 @@ import numpy as np
 import torch
 from scipy.sparse import csr_array
 
-from softtissue_estimator.estimators.elastic.estimator import ElasticEstimate, ElasticEstimator
+from softtissue_estimator.estimators.elastic.estimator import ElasticEstimate
 from softtissue_estimator.estimators.hybrid.input import ObservedMisfit
 from softtissue_estimator.organ.mesh import FloatArray
+from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +35,10 @@ class PosteriorReader:
         return estimate.interpolated(self.points, self.interpolation)
 
 
-def make_reader(estimator: ElasticEstimator, points: FloatArray) -> PosteriorReader:
-    """Locate the given points (b, 3) m in the organ that the estimator has loaded."""
-    interpolation = estimator.interpolation(points)
-    return PosteriorReader(np.asarray(interpolation @ estimator.mesh.nodes), interpolation)
+def make_reader(mesh: VolumeMesh, points: FloatArray) -> PosteriorReader:
+    """Locate the given points (b, 3) m in the tetrahedra of the elastic estimator."""
+    interpolation = mesh.interpolation(points)
+    return PosteriorReader(np.asarray(interpolation @ mesh.nodes), interpolation)
 
 
 def observed_misfit(estimate: ElasticEstimate) -> ObservedMisfit:

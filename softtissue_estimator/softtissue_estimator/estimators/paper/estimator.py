@@ -130,11 +130,19 @@ class PaperEstimator(Estimator):
 
     def load_organ(self, organ: Organ, progress: Progress = silent) -> None:
         """Compute the organ's grid, signed distance and attached region, and where its structures lie in it."""
+        self.take_over(organ, self.precompute(organ, progress), progress)
+
+    def precompute(self, organ: Organ, progress: Progress = silent) -> OrganChannels:
+        """See `Estimator.precompute`."""
+        spacing_mm = 1e3 * self._spec.spacing
+        progress(f"{organ.name}: signed distance and attached region on a {spacing_mm:.2f} mm grid")
+        return cached_channels(organ, organ_grid(organ.surface, self._spec))
+
+    def take_over(self, organ: Organ, computed: OrganChannels, progress: Progress = silent) -> None:
+        """See `Estimator.take_over`."""
         spec, device = self._spec, self._device
-        progress(f"{organ.name}: signed distance and attached region on a {1e3 * spec.spacing:.2f} mm grid")
-        channels = cached_channels(organ, organ_grid(organ.surface, spec))
-        sampler = FieldSampler(channels.grid, channels.organ_mask, organ.query_points, device)
-        channels = channels.to(device)
+        sampler = FieldSampler(computed.grid, computed.organ_mask, organ.query_points, device)
+        channels = computed.to(device)
         with self._threads():
             shape = (1, len(spec.channels), *channels.grid.shape)
             runtime = NetworkRuntime(self._network, shape, device, self._dtype, progress)

@@ -1,0 +1,83 @@
+"""The service `~/load_organ`: another organ is prepared in another process and takes the place of the one at work."""
+
+from collections.abc import Callable
+from typing import Any
+
+from softtissue_msgs.srv import LoadOrgan
+
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.errors import SoftTissueError
+from softtissue_estimator.organ.organ import Organ
+from softtissue_estimator.ros.boundary import Boundary
+from softtissue_estimator.ros.engine import load_engine
+from softtissue_estimator.ros.responder import Responder
+from softtissue_estimator.ros.service_calls import ServiceCalls
+from softtissue_estimator.support.memory import give_back
+from softtissue_estimator.support.sentences import one_sentence
+
+_BUSY = "expected one organ at a time, got another call while one loads"
+_NOT_CONFIGURED = "expected an inactive or active node, got one that is not configured"
+_CHANGED = "expected a node that stays configured while an organ loads, got one that was cleaned up meanwhile"
+
+
+class OrganLoading:
+    """Loads one organ at a time; a call that comes meanwhile is refused at once.
+
+    Parameters
+    ----------
+    responder : Responder
+    config : callable
+        Returns the configuration as it is now.
+    boundary : Boundary
+        Takes what is going on, and errors.
+    """
+
+    def __init__(
+        self, responder: Responder, config: Callable[[], EstimatorConfig], boundary: Boundary
+    ) -> None:
+        self._responder, self._config, self._boundary = responder, config, boundary
+        self._calls = ServiceCalls("load organ", most=1)
+
+    async def answer(
+        self, request: LoadOrgan.Request, response: LoadOrgan.Response, executor: Any
+    ) -> LoadOrgan.Response:
+        """Load the organ of a request."""
+
+        def work() -> None:
+            self._load(request.folder, response)
+            give_back()  # now that nothing holds the engine from before
+
+        if not await self._calls.done(work, executor):
+            _not_loaded(response, LoadOrgan.Response.BUSY, _BUSY)
+        return response
+
+    def _load(self, folder: str, response: LoadOrgan.Response) -> None:
+        before = self._responder.engine
+        if before is None:
+            _not_loaded(response, LoadOrgan.Response.NOT_CONFIGURED, _NOT_CONFIGURED)
+            return
+        try:
+            engine = load_engine(folder, self._config(), self._boundary.info, elsewhere=True)
+        except SoftTissueError as error:
+            said = self._boundary.sentence("load_organ", error)
+            self._boundary.error(said)
+            _not_loaded(response, LoadOrgan.Response.INVALID_ORGAN, said)
+            return
+        self._responder.rehearse(engine)
+        if self._responder.exchange(before, engine):
+            _loaded(response, engine.organ)
+        else:
+            engine.estimator.close()
+            _not_loaded(response, LoadOrgan.Response.NOT_CONFIGURED, _CHANGED)
+
+
+def _loaded(response: LoadOrgan.Response, organ: Organ) -> None:
+    response.result = LoadOrgan.Response.SUCCESS
+    response.name = organ.name
+    response.structures = len(organ.structures)
+    response.vertices = len(organ.query_points)
+    response.message = one_sentence(f"loaded {organ.name!r} with {len(organ.structures)} structures")
+
+
+def _not_loaded(response: LoadOrgan.Response, result: int, message: str) -> None:
+    response.result, response.message = result, message

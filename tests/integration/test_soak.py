@@ -1,0 +1,15 @@
+"""A short soak: counts balance, answers bear their organ's name, and another organ makes no gap (`make soak`)."""
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
+pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
+
+from integration.soak import Plan, soak
+
+
+@pytest.mark.alone
+@pytest.mark.timeout(240)
+def test_another_organ_makes_no_gap(tmp_path):
+    result = soak(Plan(seconds=9.0, rate=2.0, load_every_s=1.0, least_loads=2), tmp_path)
+    assert result.wrong() == []
