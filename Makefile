@@ -10,6 +10,11 @@ DEMO_ARGS ?=
 QUICK ?=
 BENCH_ARGS ?=
 PAIRS ?= 200
+# make fuzz COUNT=10000 SEED=1 KIND=meshes; REPLAY=out/fuzz/FILE: one input that was not borne.
+COUNT ?= 100000
+SEED ?= 0
+KIND ?=
+REPLAY ?=
 
 VENV_STAMP := .venv/.installed
 BUILD_STAMP := ros2_ws/install/.built
@@ -26,7 +31,7 @@ BUILD_INPUTS := scripts/build_workspace scripts/env.sh \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: bench bench-gpu build clean demo distclean docs format help lint signals test venv verify
+.PHONY: bench bench-gpu build clean demo distclean docs format fuzz help lint signals test venv verify
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -50,6 +55,9 @@ test: $(BUILD_STAMP) ## all tests, in the built workspace
 
 signals: $(BUILD_STAMP) ## pairs of signals to the node at random moments, about 8 s each; PAIRS=200
 	@scripts/run python tests/integration/signal_pairs.py $(PAIRS)
+
+fuzz: $(BUILD_STAMP) ## damaged files and messages by seed, what was begun goes on; COUNT=100000 SEED=0 KIND= REPLAY=FILE
+	@scripts/run --alone python tests/fuzz/campaign.py --count $(COUNT) --seed $(SEED) $(KIND:%=--kind %) $(REPLAY:%=--replay %)
 
 verify: $(VENV_STAMP) ## the physics alone: tests/verification; needs no built workspace
 	@echo "==> Verifying the simulations"

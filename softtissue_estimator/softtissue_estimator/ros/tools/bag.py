@@ -33,6 +33,7 @@ class Bag:
         try:
             self._reader = self._stack.enter_context(AnyReader([path]))
             count = self._reader.message_count
+            first_ns, last_ns = self._reader.start_time, self._reader.end_time
         except (
             Exception
         ) as error:  # of its parts: YAML, sqlite3, MCAP, decompression, definitions of messages, ...
@@ -41,6 +42,11 @@ class Bag:
         if count == 0:
             self._stack.close()
             raise InvalidInputError(f"bag {path}: expected messages, got none")
+        if not 0 <= first_ns <= last_ns:
+            self._stack.close()
+            raise InvalidInputError(
+                f"bag {path}: expected times from 0 ns on, got messages from {first_ns} to {last_ns} ns"
+            )
         self._path = path
 
     def __enter__(self) -> "Bag":

@@ -81,3 +81,12 @@ def test_damaged_text_is_named(tmp_path, change, message):
     (tmp_path / "a.stl").write_text(text.replace(change[0], change[1], 1 if "loop" in change[0] else -1))
     with pytest.raises(MeshError, match=message):
         read_mesh(tmp_path / "a.stl", MM)
+
+
+def test_numbers_that_are_none_are_refused_without_a_warning(tmp_path):
+    """NumPy warns of what it makes of a signalling NaN; warnings are errors here."""
+    binary = bytearray(content_of("stl"))
+    binary[84 + 12 : 84 + 16] = bytes([1, 0, 0xA0, 0x7F])
+    (tmp_path / "a.stl").write_bytes(bytes(binary))
+    with pytest.raises(MeshError, match="expected finite coordinates, got 1 vertices with NaN or inf"):
+        read_mesh(tmp_path / "a.stl", MM)
