@@ -1,13 +1,12 @@
 """Damaged mesh files, as an organ's surface and as a structure inside it."""
 
-import faulthandler
+import importlib.util
+import json
 import os
 import random
-import signal
 import subprocess
 import sys
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -96,10 +95,11 @@ class LibraryMeshes(Meshes):
     _rewritten_share = 0.0
 
     def __init__(self, folder: Path) -> None:
-        self._whole_way = isolated.run_contained
-        self._way = branched_off
+        if importlib.util.find_spec("vtkmodules") is None or importlib.util.find_spec("meshio") is None:
+            raise MissingError("VTK or meshio is not installed")
+        self._whole_way, self._branching = isolated.run_contained, Branching()
+        self._way: Callable[..., subprocess.CompletedProcess[str]] = self._branching
         isolated.run_contained = lambda *arguments: self._way(*arguments)
-        preload()
         super().__init__(folder)
 
     def make(self, rng: random.Random) -> tuple[str, bytes]:
@@ -111,14 +111,15 @@ class LibraryMeshes(Meshes):
         )
 
     def run(self, name: str, content: bytes) -> str:
-        self._way = self._whole_way if "whole-way" in name else branched_off
+        self._way = self._whole_way if "whole-way" in name else self._branching
         try:
             return super().run(name, content)
         finally:
-            self._way = branched_off
+            self._way = self._branching
 
     def close(self) -> None:
         isolated.run_contained = self._whole_way
+        self._branching.close()
 
 
 def check_organ(organ: Organ) -> None:
@@ -130,42 +131,38 @@ def check_organ(organ: Organ) -> None:
     expect(float(np.ptp(organ.surface.vertices, axis=0).max()) <= 1.0, "an organ of more than a metre")
 
 
-def preload() -> None:
-    """Import what the workers of the product import."""
-    import meshio.gmsh  # noqa: F401
-    import vtkmodules.util.numpy_support
-    import vtkmodules.vtkFiltersCore
-    import vtkmodules.vtkIOLegacy
-    import vtkmodules.vtkIOXML  # noqa: F401
+class Branching:
+    """Reads files as `run_contained` lets `cells_worker` do, in processes that `branching_reader` branches off."""
 
+    def __init__(self) -> None:
+        program = [
+            sys.executable,
+            str(Path(__file__).with_name("branching_reader.py")),
+            cells_worker.__file__,
+        ]
+        environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        self._process = subprocess.Popen(
+            program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+        )
 
-def branched_off(
-    program: Sequence[str], folder: Path, environment: Mapping[str, str], timeout_s: float
-) -> "subprocess.CompletedProcess[str]":
-    """Do what `run_contained` does with `cells_worker`, in a process that is branched off this one."""
-    printed = folder / "printed"
-    child = os.fork()
-    if child == 0:
-        code = 70
-        faulthandler.disable()  # a crash there is no news
-        try:
-            os.dup2(os.open(printed, os.O_CREAT | os.O_WRONLY), 2)
-            os.dup2(2, 1)
-            sys.argv = list(program)
-            code = cells_worker.main()
-        finally:
-            sys.stderr.flush()
-            os._exit(code)
-    end = time.monotonic() + timeout_s
-    pause_s = 0.0002
-    while True:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            text = printed.read_text(errors="replace") if printed.exists() else ""
-            return subprocess.CompletedProcess(list(program), os.waitstatus_to_exitcode(status), "", text)
-        if time.monotonic() > end:
-            os.kill(child, signal.SIGKILL)
-            os.waitpid(child, 0)
+    def __call__(
+        self, program: Sequence[str], folder: Path, environment: Mapping[str, str], timeout_s: float
+    ) -> "subprocess.CompletedProcess[str]":
+        """Do what `run_contained` does."""
+        requests, answers = self._process.stdin, self._process.stdout
+        if requests is None or answers is None:
+            raise MissingError("the reader of files is gone")
+        printed = folder / "printed"
+        requests.write(json.dumps([list(program), str(printed), timeout_s]) + "\n")
+        requests.flush()
+        answer = answers.readline().strip()
+        if answer == "late":
             raise subprocess.TimeoutExpired(list(program), timeout_s)
-        time.sleep(pause_s)
-        pause_s = min(0.01, 1.3 * pause_s)
+        text = printed.read_text(errors="replace") if printed.exists() else ""
+        return subprocess.CompletedProcess(list(program), int(answer), "", text)
+
+    def close(self) -> None:
+        """End it."""
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        self._process.wait(10.0)
