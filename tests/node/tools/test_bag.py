@@ -1,6 +1,7 @@
 """Bags that cannot be read are one sentence, wherever they are damaged."""
 
 import contextlib
+import re
 import shutil
 import sqlite3
 
@@ -61,6 +62,16 @@ def test_bag_that_is_cut_off_is_a_sentence(bag, share):
 )
 def test_metadata_that_cannot_be_meant_are_a_sentence(bag, text):
     (bag / "metadata.yaml").write_text(text)
+    refused(bag)
+
+
+@pytest.mark.parametrize("value", [".inf", "1e400", "-5", "1.5", "99999999999999999999999999", "[1]", "~"])
+@pytest.mark.parametrize("key", ["nanoseconds_since_epoch", "nanoseconds", "message_count"])
+def test_numbers_of_metadata_that_are_none_are_a_sentence(bag, key, value):
+    file = bag / "metadata.yaml"
+    text, replaced = re.subn(rf"(?<={key}: )\d+", value, file.read_text())
+    assert replaced >= 1
+    file.write_text(text)
     refused(bag)
 
 
