@@ -33,6 +33,7 @@ _FLOATS = (
     float("inf"),
     float("-inf"),
 )
+_MOST_NUMBERS = 300_000
 _NAMES = ("", "x", "y", "z", "ref_x", "ref_y", "ref_z", "rgb", "X", "x" * 5000, "a\nb", "\x1b[2J", "\u202e")
 _FRAMES = ("organ", "camera", "", "/organ", "a" * 5000, "a\nb\x1b[2J", "\u202e\u2028", "ORGAN ")
 _PATHS = (
@@ -177,7 +178,7 @@ def _warp(rng: random.Random, request: WarpPoints.Request) -> None:
     if rng.random() < 0.3:
         _header(rng, request.header)
         return
-    points = list(request.points) * rng.choice((1, 1, 1, 100, 2000))
+    points = (list(request.points) * rng.choice((1, 1, 1, 100, 2000)))[:_MOST_NUMBERS]
     points = points[: rng.choice((len(points), len(points), 0, 1, 4))]
     if points:
         points[rng.randrange(len(points))] = rng.choice(_FLOATS)

@@ -71,6 +71,10 @@ class WatchedNode(EstimatorNode):
         return self._counters.counts
 
     @property
+    def organ_name(self) -> str:
+        return self._responder.setup.organ
+
+    @property
     def waiting(self) -> int:
         return self._stream._intake.waiting if self._stream._intake else 0
 
@@ -124,6 +128,8 @@ class NodeInside:
     def check_good(self) -> None:
         """Raise FailedError unless a good cloud is answered as at the beginning."""
         self._forget()
+        if self._node.organ_name != self.scene.organ.name:  # an empty path is that of the bundled organ
+            self._call("load_organ", LoadOrgan.Request(folder=str(self.scene.organ.folder)))
         self._call("reset", Reset.Request())
         good = [Parameter(name=name, value=_parameter(value)) for name, value in _VALUES.items()]
         self._call("parameters", SetParameters.Request(parameters=good))
