@@ -5,6 +5,7 @@ import random
 
 import pytest
 
+from fuzz import wrong_digits
 from fuzz.campaign import main, replay
 from fuzz.kind import FailedError, Kind, MissingError, check_sentence, make_input, try_input, try_inputs
 from fuzz.kinds import KINDS, inputs_of
@@ -144,3 +145,10 @@ def test_campaign_goes_on_where_it_was_and_keeps_nothing_of_what_is_borne(tmp_pa
     kept = tmp_path / "tables-3-0-comma.csv"
     kept.write_bytes(b"label,x,y,z\na,1,2\n")
     assert replay(kept) == 0
+
+
+def test_wrong_digits_that_matter_are_said(tmp_path):
+    found = wrong_digits.count(150, tmp_path)
+    assert found["moved far"] >= 10
+    assert found["of these said"] >= 0.8 * found["moved far"]
+    assert found["volume changed in silence"] == 0
