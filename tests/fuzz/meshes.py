@@ -163,6 +163,7 @@ class Branching:
 
     def close(self) -> None:
         """End it."""
-        if self._process.stdin is not None:
+        if self._process.stdin is not None and self._process.stdout is not None:
             self._process.stdin.close()
-        self._process.wait(10.0)
+            self._process.wait(10.0)
+            self._process.stdout.close()

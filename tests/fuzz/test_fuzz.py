@@ -14,7 +14,7 @@ from softtissue_estimator.errors import InvalidInputError
 SEED = 20
 # A few seconds each.
 SAMPLES = {
-    "meshes": 600,
+    "meshes": 400,
     "library meshes": 60,
     "yaml files": 300,
     "tables": 600,
@@ -148,7 +148,7 @@ def test_campaign_goes_on_where_it_was_and_keeps_nothing_of_what_is_borne(tmp_pa
 
 
 def test_wrong_digits_that_matter_are_said(tmp_path):
-    found = wrong_digits.count(150, tmp_path)
-    assert found["moved far"] >= 10
+    found = wrong_digits.count(100, tmp_path)
+    assert found["moved far"] >= 5
     assert found["of these said"] >= 0.8 * found["moved far"]
     assert found["volume changed in silence"] == 0
