@@ -14,6 +14,11 @@ PAIRS ?= 200
 MINUTES ?= 10
 RATE ?= 3
 SOAK_ARGS ?=
+# make fuzz COUNT=10000 SEED=1 KIND=meshes; REPLAY=out/fuzz/FILE: one input that was not borne.
+COUNT ?= 100000
+SEED ?= 0
+KIND ?=
+REPLAY ?=
 
 VENV_STAMP := .venv/.installed
 BUILD_STAMP := ros2_ws/install/.built
@@ -30,7 +35,7 @@ BUILD_INPUTS := scripts/build_workspace scripts/env.sh \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: bench bench-gpu build clean demo distclean docs format help lint signals soak test venv verify
+.PHONY: bench bench-gpu build clean demo distclean docs format fuzz help lint signals soak test venv verify
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -57,6 +62,9 @@ signals: $(BUILD_STAMP) ## pairs of signals to the node at random moments, about
 
 soak: $(BUILD_STAMP) ## the bundled bag at RATE times its rate, another organ every 20 s, out/soak/soak.json; MINUTES=10 RATE=3
 	@scripts/run python tests/integration/soak.py --minutes $(MINUTES) --rate $(RATE) $(SOAK_ARGS)
+
+fuzz: $(BUILD_STAMP) ## damaged files and messages by seed, what was begun goes on; COUNT=100000 SEED=0 KIND= REPLAY=FILE
+	@scripts/run --alone python tests/fuzz/campaign.py --count $(COUNT) --seed $(SEED) $(KIND:%=--kind %) $(REPLAY:%=--replay %)
 
 verify: $(VENV_STAMP) ## the physics alone: tests/verification; needs no built workspace
 	@echo "==> Verifying the simulations"

@@ -1,8 +1,17 @@
 """The errors a user can cause. Every message says what is wrong, what was expected and what was found."""
 
+from softtissue_estimator.support.sentences import one_sentence
+
 
 class SoftTissueError(Exception):
-    """Anything that a caller may catch and report as one sentence."""
+    """Anything that a caller may catch and report as one sentence.
+
+    Whatever a file or a message holds, its text is one line that can be printed, of at most 300 characters; `args` has
+    all that was said.
+    """
+
+    def __str__(self) -> str:
+        return one_sentence(super().__str__())
 
 
 class InvalidInputError(SoftTissueError, ValueError):

@@ -112,7 +112,9 @@ def read_mesh(path: Path, unit_m: float, system: str | None = None) -> StoredMes
                 f"expected a file of at most {_LARGEST_FILE_BYTES >> 20} MiB, got {size >> 20} MiB; reduce the mesh "
                 "where it was made"
             )
-        return _reduced(_surface(_in_system(_READERS[kind](path), system, path), unit_m), str(path))
+        # What overflows or is no number is found in the result; NumPy would say so on the terminal.
+        with np.errstate(all="ignore"):
+            return _reduced(_surface(_in_system(_READERS[kind](path), system, path), unit_m), str(path))
     except MeshError as error:
         raise MeshError(f"mesh {path}: {_other_format(path) or error}") from error
     except OSError as error:

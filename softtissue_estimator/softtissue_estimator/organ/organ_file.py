@@ -15,6 +15,7 @@ FILE_NAME = "organ.yaml"
 UNITS_M = {"mm": 0.001, "m": 1.0}
 _INDEX = re.compile(r"[+-]?[0-9]{1,18}")
 _MOST_INDEX_BYTES = 16 * 2**20
+_LARGEST_NUMBER = 1e9  # of any length: squares of such do not overflow
 _LONGEST_KEY = 40  # characters of an unknown one that are repeated
 DEFAULT_COLOUR = (0.8, 0.8, 0.8, 1.0)
 
@@ -256,6 +257,10 @@ class _Entry:
         plain = isinstance(value, list) and all(
             isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in value
         )
+        if plain and any(abs(v) > _LARGEST_NUMBER for v in value):
+            raise OrganError(
+                f"{self.where(key)}: expected numbers of at most {_LARGEST_NUMBER:g}, got {shown(value)}"
+            )
         if not plain or len(value) not in counts:
             wanted = " or ".join(str(c) for c in counts)
             raise OrganError(f"{self.where(key)}: expected {wanted} numbers, got {shown(value)}")

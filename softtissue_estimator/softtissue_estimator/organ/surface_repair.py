@@ -136,6 +136,8 @@ def _turned(stored: StoredMesh, name: str) -> StoredMesh:
 def _keep_bodies(stored: StoredMesh, name: str) -> StoredMesh:
     """Wind the largest body outward; drop small ones beside it and refuse a second large one."""
     mesh = stored.mesh
+    if len(mesh.faces) == 0:  # one vertex may be so far away that all others are in one place
+        raise MeshError(f"mesh {name}: expected a surface that encloses a volume, got none after its repair")
     body = _body_of_face(mesh)
     volumes = _body_volumes(mesh.vertices, mesh.faces, body)
     main = int(np.abs(volumes).argmax())

@@ -4,6 +4,8 @@ import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from softtissue_estimator.support.sentences import one_sentence
+
 _LOGGER = "softtissue_estimator"
 
 
@@ -14,7 +16,7 @@ class _Teller(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         warning = "warning: " if record.levelno >= logging.WARNING else ""
-        self._tell(warning + record.getMessage())
+        self._tell(one_sentence(warning + record.getMessage()))
 
 
 @contextmanager

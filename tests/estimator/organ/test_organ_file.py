@@ -39,6 +39,16 @@ MISTAKES = [
         r"spheres\[1\]: expected surface vertices within its reach, got none, the nearest 405 mm beyond it",
     ),
     ({"attached": {"spheres": [{"centre": [0, 0, 0], "radius": 500}]}}, OrganError, "got all of them"),
+    (
+        {"attached": {"spheres": [{"centre": [0, 0, 1e308], "radius": 5}]}},
+        OrganError,
+        "centre: expected numbers of at most 1e.09, got .0, 0, 1e.308.",
+    ),
+    (
+        {"attached": {"patch": {"centre": [-1e300, 0, 0], "share": 0.1}}},
+        OrganError,
+        "numbers of at most 1e.09",
+    ),
     ({"attached": {"spheres": [{"centre": [0, 0], "radius": 5}]}}, OrganError, "centre: expected 3 numbers"),
     (
         {"attached": {"spheres": [{"centre": [0, 0, 0]}]}},

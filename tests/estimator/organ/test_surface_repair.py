@@ -57,6 +57,13 @@ def test_a_sound_surface_is_returned_as_it_is(log):
     assert log.text == ""
 
 
+def test_a_surface_of_which_nothing_is_left_is_refused():
+    """With one vertex a kilometre away, all others are along one crack."""
+    vertices = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 1000.0]])
+    with pytest.raises(MeshError, match="mesh liver: expected a surface that encloses a volume, got none"):
+        clean_organ_surface(stored(vertices, np.array([[0, 1, 2], [0, 2, 3]])), "liver")
+
+
 def cap(height: float) -> np.ndarray:
     """Faces above a height, which are left out to make a hole."""
     return ORGAN.vertices[ORGAN.faces].mean(axis=1)[:, 2] > height

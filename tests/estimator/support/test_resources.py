@@ -26,7 +26,14 @@ def find(*python_path: Path) -> Path:
 
 def copy_package(target: Path) -> None:
     (target / "support").mkdir(parents=True)
-    for name in ("__init__.py", "errors.py", "support/__init__.py", "support/resources.py"):
+    names = (
+        "__init__.py",
+        "errors.py",
+        "support/__init__.py",
+        "support/resources.py",
+        "support/sentences.py",
+    )
+    for name in names:
         shutil.copy(SOURCE / name, target / name)
 
 

@@ -24,6 +24,16 @@ def test_registration_takes_points_from_the_cloud_to_the_organ():
     np.testing.assert_array_equal(registration.organ_from_cloud("organ", "organ", 0), np.eye(4))
 
 
+def test_any_numbers_are_moved_without_a_warning():
+    signalling = np.array([[0x7FA00001, 0, 0]], dtype=np.uint32).view(np.float32)
+    others = np.array([[np.inf, 0.0, 0.0], [3e38, 3e38, 3e38], [0.1, 0.2, 0.3]], dtype=np.float32)
+    points = np.concatenate([signalling, others])
+    moved = transform_points(CAMERA_FROM_ORGAN, points)
+    assert np.isfinite(moved).all(axis=1).tolist() == [False, False, True, True]
+    expected = CAMERA_FROM_ORGAN[:3, :3] @ points[3] + CAMERA_FROM_ORGAN[:3, 3]
+    np.testing.assert_allclose(moved[3], expected, atol=1e-7)
+
+
 def test_newest_registration_counts_and_others_do_not():
     registration = Registration()
     registration.put(registration_message(np.eye(4), parent="camera"))

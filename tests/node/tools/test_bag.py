@@ -1,13 +1,18 @@
 """Bags that cannot be read are one sentence, wherever they are damaged."""
 
 import contextlib
+import re
 import shutil
+import sqlite3
 
 import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
+
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.tools.bag import Bag, message_type
@@ -58,6 +63,31 @@ def test_bag_that_is_cut_off_is_a_sentence(bag, share):
 def test_metadata_that_cannot_be_meant_are_a_sentence(bag, text):
     (bag / "metadata.yaml").write_text(text)
     refused(bag)
+
+
+@pytest.mark.parametrize("value", [".inf", "1e400", "-5", "1.5", "99999999999999999999999999", "[1]", "~"])
+@pytest.mark.parametrize("key", ["nanoseconds_since_epoch", "nanoseconds", "message_count"])
+def test_numbers_of_metadata_that_are_none_are_a_sentence(bag, key, value):
+    file = bag / "metadata.yaml"
+    text, replaced = re.subn(rf"(?<={key}: )\d+", value, file.read_text())
+    assert replaced >= 1
+    file.write_text(text)
+    refused(bag)
+
+
+@pytest.mark.parametrize("time", [-1, -(2**63)])
+def test_times_before_zero_are_a_sentence(tmp_path, time):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    kind = "std_msgs/msg/Empty"
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/empty", kind, typestore=store)
+        writer.write(connection, 7, store.serialize_cdr(store.types[kind](), kind))
+    (file,) = (tmp_path / "bag").glob("*.db3")
+    assert read(file) == 1
+    with contextlib.closing(sqlite3.connect(file)) as database:
+        database.execute("update messages set timestamp = ?", (time,))
+        database.commit()
+    refused(file)
 
 
 @pytest.mark.parametrize("name", ["file.db3", "file.mcap", "file.txt", "folder"])

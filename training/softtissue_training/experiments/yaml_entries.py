@@ -11,6 +11,8 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.support.files import expanded, is_file
 from softtissue_estimator.support.yaml_file import kind_of, read_yaml, shown
 
+_LARGEST_NUMBER = 1e9  # of any vector: squares of such do not overflow
+
 
 def read_entries(path: Path, known: tuple[str, ...], *, required: bool = True) -> Entries:
     """Read a file whose top is a mapping.
@@ -108,6 +110,10 @@ class Entries:
             return None
         if not isinstance(given, list) or len(given) != 3 or not all(_is_number(x) for x in given):
             raise InvalidInputError(f"{self.where(key)}: expected 3 numbers, got {shown(given)}")
+        if any(abs(x) > _LARGEST_NUMBER for x in given):
+            raise InvalidInputError(
+                f"{self.where(key)}: expected numbers of at most {_LARGEST_NUMBER:g}, got {shown(given)}"
+            )
         x, y, z = (float(value) for value in given)
         return x, y, z
 

@@ -57,11 +57,11 @@ def load_hybrid_checkpoint(path: Path) -> HybridCheckpoint:
     """
     metadata, tensors = read_weights(path, KIND)
     spec, provenance = parse_spec(path, metadata, HybridSpec, HybridArchitecture)
+    check_spec(path, spec, tensors)
     if spec.channels != HYBRID_CHANNELS:
         raise CheckpointError(
             f"checkpoint {path} reads other channels: expected {', '.join(HYBRID_CHANNELS)}, "
             f"got {', '.join(spec.channels)}"
         )
-    check_spec(path, spec, tensors)
     network = build_network(path, HybridNetwork, spec.architecture, tensors)
     return HybridCheckpoint(network, spec, provenance)

@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.organ.mesh_files.cells_worker import UNREADABLE
-from softtissue_estimator.organ.mesh_files.plain_text import without_mark
+from softtissue_estimator.organ.mesh_files.plain_text import decimal_comma_hint, without_mark
 from softtissue_estimator.support.leftovers import run_contained, temporary_folder
 
 _TIMEOUT_S = 60.0
 _DECLARED_ENCODING = re.compile(rb"^(\s*<\?xml[^>]*encoding=[\"'])[^\"']*([\"'])")
+_POINTS = re.compile(rb"^POINTS\b|<Points\b|^\$Nodes\b", re.MULTILINE)
+_HINT_BYTES = 1 << 16
 _WORKER = Path(__file__).with_name("cells_worker.py")
 
 _log = logging.getLogger(__name__)
@@ -67,7 +69,19 @@ def read_isolated(path: Path, expected: str) -> dict[str, NDArray[Any]]:
                 raise MeshError(f"expected {expected}, got a result that is cut off") from error
     _log.debug("reading %s ended with exit code %d, %s", path, done.returncode, printed)
     why = printed if done.returncode == UNREADABLE else "damaged, cut off or too large"
-    raise MeshError(f"expected {expected}, got a file that cannot be read as such: {why}")
+    why = _comma_hint(path) or f": {why}"
+    raise MeshError(f"expected {expected}, got a file that cannot be read as such{why}")
+
+
+def _comma_hint(path: Path) -> str:
+    """Say so if the first coordinates of a text have decimal commas; the libraries name no line."""
+    content = without_mark(path.read_bytes())
+    points = _POINTS.search(content)
+    if points is None:
+        return ""
+    # XML may have no space between a tag and the first number.
+    beginning = content[points.end() : points.end() + _HINT_BYTES].replace(b">", b"> ").replace(b"<", b" <")
+    return decimal_comma_hint(beginning.decode("utf-8", errors="replace").split())
 
 
 def _plain(path: Path, folder: Path) -> Path:

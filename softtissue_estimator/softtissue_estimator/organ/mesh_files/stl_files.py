@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import warnings
 from pathlib import Path
@@ -16,7 +17,9 @@ from softtissue_estimator.organ.mesh_files.plain_text import decimal_comma_hint,
 
 _HEADER_BYTES, _TRIANGLE_BYTES = 84, 50  # of a binary file
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_VERTEX = re.compile(rb"^[ \t]*vertex((?:[ \t]+[-+.\deE]+){3})[ \t]*\r?$", re.MULTILINE | re.IGNORECASE)
+_CORNER = rb"\s*\n[ \t]*vertex((?:[ \t]+[-+.\de]+){3})[ \t]*"
+_LOOP = re.compile(rb"outer loop[ \t]*" + 3 * _CORNER + rb"\s*\n[ \t]*endloop")
+_PIECE_BYTES = 1 << 24
 _TEXT = re.compile(rb"\s*solid\b", re.IGNORECASE)
 
 
@@ -51,22 +54,40 @@ def _binary(content: bytes, count: int) -> MeshCells:
 
 def _plain_text(content: bytes) -> MeshCells | None:
     """Read text that is as most programs write it, millions of triangles in seconds; None if it is not."""
-    rows = _VERTEX.findall(content)
-    words = content.lower()
-    complete = words.rstrip().rpartition(b"\n")[2].lstrip().startswith(b"endsolid")
-    loops, ends = words.count(b"outer loop"), words.count(b"endloop")
-    if not complete or not len(rows) == words.count(b"vertex") == 3 * loops == 3 * ends:
+    name, _, rest = content.lstrip().partition(b"\n")
+    parts: list[FloatArray] = []
+    at = 0
+    while True:
+        # In pieces: texts of many triangles have half a gigabyte.
+        end = rest.find(b"endloop", at + _PIECE_BYTES) + len(b"endloop")
+        last = end < len(b"endloop")
+        piece = rest[at : None if last else end].lower()
+        corners = _corners(piece)
+        if corners is None or piece.count(b"endsolid") != int(last):
+            return None
+        parts.append(corners)
+        if last:
+            break
+        at = end
+    if not piece.rstrip().rpartition(b"\n")[2].lstrip().startswith(b"endsolid"):
         return None
-    if words.count(b"endsolid") != 1:
+    return _triangles(np.concatenate(parts), stated_system(name.decode("utf-8", errors="replace")))
+
+
+def _corners(piece: bytes) -> FloatArray | None:
+    """Corners of all loops in a text in small letters, (3 k, 3); None if not all of it is understood."""
+    loops = _LOOP.findall(piece)
+    words = [piece.count(word) for word in (b"outer", b"endloop", b"vertex")]
+    if words != [len(loops), len(loops), 3 * len(loops)]:
         return None
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # numpy warns of what is no number
         try:
-            points = np.fromstring(b" ".join(rows).decode("ascii"), sep=" ").reshape(-1, 3)
+            numbers = b" ".join(itertools.chain.from_iterable(loops)).decode("ascii")
+            points = np.fromstring(numbers, sep=" ") if loops else np.empty(0)
         except (ValueError, DeprecationWarning):
             return None
-    name = content.lstrip().partition(b"\n")[0].decode("utf-8", errors="replace")
-    return _triangles(points, stated_system(name)) if len(points) == len(rows) else None
+    return points.reshape(-1, 3) if len(points) == 9 * len(loops) else None
 
 
 def _text(content: bytes) -> MeshCells:

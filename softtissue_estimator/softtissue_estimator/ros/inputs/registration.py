@@ -82,9 +82,11 @@ def _inverse(motion: FloatArray) -> FloatArray:
 
 def transform_points(motion: FloatArray, points: NDArray[np.floating]) -> FloatArray:
     """Apply a (4, 4) rigid motion to (n, 3) points, m; the result is float64."""
-    # dot, because for a transposed 3 x 3 matrix the operator takes several times as long.
-    moved: FloatArray = np.dot(points.astype(np.float64, order="C"), motion[:3, :3].T)
-    moved += motion[:3, 3]
+    # Any number may arrive; what is not finite afterwards is left out, without NumPy's lines on the terminal.
+    with np.errstate(invalid="ignore", over="ignore"):
+        # dot, because for a transposed 3 x 3 matrix the operator takes several times as long.
+        moved: FloatArray = np.dot(points.astype(np.float64, order="C"), motion[:3, :3].T)
+        moved += motion[:3, 3]
     return moved
 
 

@@ -14,6 +14,8 @@ from rosbags.interfaces import QosDurability, QosReliability
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.support.sentences import one_sentence
 
+_LARGEST = 2**63
+
 
 class Bag:
     """A rosbag2 bag: a folder with metadata.yaml, or an MCAP or sqlite3 file alone. A context manager.
@@ -33,6 +35,9 @@ class Bag:
         try:
             self._reader = self._stack.enter_context(AnyReader([path]))
             count = self._reader.message_count
+            first_ns, last_ns = self._reader.start_time, self._reader.end_time
+            # metadata.yaml may hold anything.
+            numbers_fit = all(type(n) is int and n < _LARGEST for n in (count, first_ns, last_ns))
         except (
             Exception
         ) as error:  # of its parts: YAML, sqlite3, MCAP, decompression, definitions of messages, ...
@@ -41,6 +46,11 @@ class Bag:
         if count == 0:
             self._stack.close()
             raise InvalidInputError(f"bag {path}: expected messages, got none")
+        if not numbers_fit or count < 0 or not 0 <= first_ns <= last_ns:
+            self._stack.close()
+            raise InvalidInputError(
+                f"bag {path}: expected times from 0 ns on, got {count} messages from {first_ns} to {last_ns} ns"
+            )
         self._path = path
 
     def __enter__(self) -> "Bag":

@@ -172,6 +172,15 @@ def test_channels_of_another_version_are_refused(tmp_path, network):
         load_hybrid_checkpoint(path)
 
 
+@pytest.mark.parametrize("channel", [3, None, [], 0.5])
+def test_channels_that_are_no_names_are_refused(tmp_path, network, channel):
+    path = tmp_path / "weights.safetensors"
+    spec = HybridSpec(channels=("a",) * 9 + (channel,), architecture=SPEC.architecture)
+    save_hybrid_checkpoint(path, network, spec, {})
+    with pytest.raises(CheckpointError, match="channels: expected a value of its kind, got tuple"):
+        load_hybrid_checkpoint(path)
+
+
 def test_a_captured_graph_gives_the_same_answers_and_each_stays_valid(
     tmp_path, network, observation, monkeypatch
 ):

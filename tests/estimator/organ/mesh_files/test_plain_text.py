@@ -1,6 +1,7 @@
 """Marks of encodings and UTF-16: every text format is read as without them."""
 
 import codecs
+import re
 
 import numpy as np
 import pytest
@@ -59,28 +60,50 @@ CASES = [(name, encoding) for name in READ_HERE for encoding in ["utf-8", *ENCOD
 CASES += [(name, encoding) for name in READ_APART for encoding in ["utf-8", *list(ENCODINGS)[:2]]]
 
 
-@pytest.mark.parametrize(("name", "encoding"), CASES)
-def test_text_in_any_encoding_is_the_same_mesh(tmp_path, name, encoding):
+def text_of(name):
+    """Content of a text file of the liver; skips where a library is missing that reads it."""
     if name[2] == "v":
         pytest.importorskip("vtkmodules")
-        text = of_vtk(name)
-    elif name == "a.msh":
+        return of_vtk(name)
+    if name == "a.msh":
         pytest.importorskip("meshio")
-        text = of_msh()
-    elif name == "a.obj":
+        return of_msh()
+    if name == "a.obj":
         mesh = trimesh.Trimesh(LIVER.vertices / MM, LIVER.faces, process=False)
-        text = "\n".join(
+        return "\n".join(
             line for line in mesh.export(file_type="obj").splitlines() if line[:2] in ("v ", "f ")
         )
-    else:
-        text = content_of({"a.ply": "ply text", "a.stl": "stl_ascii"}[name]).decode()
-    (tmp_path / name).write_bytes(ENCODINGS.get(encoding, str.encode)(text))
+    return content_of({"a.ply": "ply text", "a.stl": "stl_ascii"}[name]).decode()
+
+
+@pytest.mark.parametrize(("name", "encoding"), CASES)
+def test_text_in_any_encoding_is_the_same_mesh(tmp_path, name, encoding):
+    (tmp_path / name).write_bytes(ENCODINGS.get(encoding, str.encode)(text_of(name)))
     found = read_mesh(tmp_path / name, MM)
     if name == "a.stl":
         corners = found.mesh.vertices[found.mesh.faces]
         np.testing.assert_allclose(corners, LIVER.vertices[LIVER.faces], atol=1e-7)
     else:
         check_surface(found)
+
+
+@pytest.mark.parametrize("name", READ_HERE + READ_APART)
+def test_decimal_commas_are_named_as_such(tmp_path, name):
+    # In coordinates alone, not in the versions of formats.
+    text = re.sub(r"(?<=\d)\.(?=\d{2})", ",", text_of(name))
+    assert text.count(",") > len(LIVER.vertices)
+    (tmp_path / name).write_text(text)
+    with pytest.raises(MeshError, match="numbers have a decimal comma, save the file with decimal points"):
+        read_mesh(tmp_path / name, MM)
+
+
+@pytest.mark.parametrize("name", READ_APART)
+def test_files_damaged_otherwise_are_not_said_to_have_decimal_commas(tmp_path, name):
+    text = text_of(name).replace("title", "voxels of 1,5 mm")
+    (tmp_path / name).write_text(text[: len(text) // 2])
+    with pytest.raises(MeshError, match="cannot be read as such: ") as caught:
+        read_mesh(tmp_path / name, MM)
+    assert "comma" not in str(caught.value)
 
 
 def test_a_binary_file_behind_a_mark_is_read(tmp_path):

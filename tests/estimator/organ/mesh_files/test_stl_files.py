@@ -6,6 +6,7 @@ import trimesh
 
 from estimator.mesh_file_checks import LIVER, MM, content_of, damaged, outcome
 from softtissue_estimator.errors import MeshError
+from softtissue_estimator.organ.mesh_files import stl_files
 from softtissue_estimator.organ.mesh_io import read_mesh
 
 
@@ -80,4 +81,34 @@ def test_damaged_text_is_named(tmp_path, change, message):
     text = content_of("stl_ascii").decode()
     (tmp_path / "a.stl").write_text(text.replace(change[0], change[1], 1 if "loop" in change[0] else -1))
     with pytest.raises(MeshError, match=message):
+        read_mesh(tmp_path / "a.stl", MM)
+
+
+def test_numbers_that_are_none_are_refused_without_a_warning(tmp_path):
+    """NumPy warns of what it makes of a signalling NaN; warnings are errors here."""
+    binary = bytearray(content_of("stl"))
+    binary[84 + 12 : 84 + 16] = bytes([1, 0, 0xA0, 0x7F])
+    (tmp_path / "a.stl").write_bytes(bytes(binary))
+    with pytest.raises(MeshError, match="expected finite coordinates, got 1 vertices with NaN or inf"):
+        read_mesh(tmp_path / "a.stl", MM)
+
+
+@pytest.mark.parametrize("piece", [1, 100, 5000, 60_000])
+def test_long_text_is_read_in_pieces(tmp_path, monkeypatch, piece):
+    path = tmp_path / "a.stl"
+    path.write_bytes(content_of("stl_ascii"))
+    monkeypatch.setattr(stl_files, "_text", None)  # the slow way is not taken
+    whole = read_mesh(path, MM).mesh
+    monkeypatch.setattr(stl_files, "_PIECE_BYTES", piece)
+    assert len(path.read_bytes()) > 60_000
+    np.testing.assert_array_equal(read_mesh(path, MM).mesh.vertices, whole.vertices)
+    np.testing.assert_array_equal(read_mesh(path, MM).mesh.faces, whole.faces)
+
+
+def test_loops_of_other_than_three_corners_are_refused_though_all_are_three_times_as_many(tmp_path):
+    lines = content_of("stl_ascii").decode().splitlines()
+    moved = [i for i, line in enumerate(lines) if "vertex" in line][2]
+    lines.insert(moved + 4, lines.pop(moved))  # behind the next loop's beginning
+    (tmp_path / "a.stl").write_text("\n".join(lines))
+    with pytest.raises(MeshError, match="got a triangle without three corners before line"):
         read_mesh(tmp_path / "a.stl", MM)

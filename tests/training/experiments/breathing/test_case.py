@@ -77,6 +77,7 @@ def test_front_is_where_the_coordinate_system_says(tmp_path, changes, front):
         ({"system": "RPI"}, "system: expected LPS or RAS, got 'RPI'"),
         ({"system": None, "anterior": [0, 0, 0]}, "anterior: expected a direction"),
         ({"system": None, "anterior": [0, 1]}, "anterior: expected 3 numbers"),
+        ({"system": None, "anterior": [-1e308, -1, 0]}, "anterior: expected numbers of at most 1e.09"),
         ({"alignment": "cpd"}, "alignment: expected icp or none, got 'cpd'"),
         ({"surface_after": None}, "surface_after: expected the name of a file"),
         ({"surface_after": "nothing.ply"}, "surface_after: expected a file, found none"),

@@ -1,0 +1,210 @@
+"""Messages and requests with values that nobody expects, all of them such as DDS can carry."""
+
+import copy
+import random
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import TransformStamped
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from sensor_msgs.msg import PointCloud2, PointField
+from softtissue_msgs.msg import Correspondences
+from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints
+
+from fuzz.damage import WHOLE_NUMBERS, damaged_bytes, how_often
+from integration.harness import CAMERA_FROM_ORGAN, Scene, registration_message
+
+_UNSIGNED = tuple(n for n in WHOLE_NUMBERS if 0 <= n < 2**32)
+_FLOATS = (
+    0.0,
+    1.0,
+    -1.0,
+    1e-320,
+    1e-30,
+    0.3,
+    1e3,
+    1e30,
+    3e38,
+    1e308,
+    -1e308,
+    float("nan"),
+    float("inf"),
+    float("-inf"),
+)
+_MOST_NUMBERS = 300_000
+_NAMES = ("", "x", "y", "z", "ref_x", "ref_y", "ref_z", "rgb", "X", "x" * 5000, "a\nb", "\x1b[2J", "\u202e")
+_FRAMES = ("organ", "camera", "", "/organ", "a" * 5000, "a\nb\x1b[2J", "\u202e\u2028", "ORGAN ")
+_PATHS = (
+    "", "/nowhere", "/proc/1", "/proc/self/mem", "/dev/zero", "x" * 300, "/a" * 3000, "~nosuchuser", "\x1b[2J", ".",
+    "/", "..", "/tmp", "/etc/passwd", "organ.yaml", "\n", "//", "~",
+)  # fmt: skip
+PARAMETERS = (
+    "default_sigma_m", "max_displacement_m", "max_reference_distance_m", "minimum_points", "minimum_visible_fraction",
+    "maximum_rejected_fraction", "frame_budget_s", "no_data_timeout_s", "organ", "organ_root", "estimator", "device",
+    "use_sim_time", "tracking", "autostart", "nobody", "", "a\nb",
+)  # fmt: skip
+
+
+def good_message(kind: str, scene: Scene, stamp: int = 10**18) -> list[Any]:
+    """Messages of a kind as they should be."""
+    if kind == "pair":
+        return [scene.bare_cloud(stamp), scene.pairs(stamp)]
+    return [
+        {
+            "cloud": lambda: scene.cloud(stamp),
+            "registration": lambda: registration_message(CAMERA_FROM_ORGAN),
+            "warp_points": lambda: WarpPoints.Request(points=[0.01, 0.0, 0.02, -0.01, 0.0, 0.0]),
+            "load_organ": lambda: LoadOrgan.Request(folder="/nowhere"),
+            "reset": Reset.Request,
+            "parameters": lambda: SetParameters.Request(parameters=[Parameter(name="frame_budget_s")]),
+        }[kind]()
+    ]
+
+
+def damaged_message(rng: random.Random, kind: str, scene: Scene) -> list[Any]:
+    """Messages of a kind with some values changed."""
+    messages = good_message(kind, scene, rng.randrange(1, 2**31 - 1) * 10**9 + rng.randrange(10**9))
+    for _ in range(how_often(rng)):
+        message = rng.choice(messages)
+        _CHANGES[type(message)](rng, message)
+    return messages
+
+
+def _header(rng: random.Random, header: Any) -> None:
+    if rng.random() < 0.5:
+        header.stamp = Time(
+            sec=rng.choice((0, 1, -1, 200, 2**31 - 1, -(2**31))),
+            nanosec=rng.choice((0, 1, 10**9 - 1, 10**9, 2**32 - 1)),
+        )
+    else:
+        header.frame_id = rng.choice(_FRAMES)
+
+
+def _cloud(rng: random.Random, cloud: PointCloud2) -> None:
+    what = rng.randrange(8)
+    if what == 0:
+        _header(rng, cloud.header)
+    elif what == 1:
+        setattr(cloud, rng.choice(("width", "height", "point_step", "row_step")), _near(rng, cloud))
+    elif what == 2:
+        name = rng.choice(("is_bigendian", "is_dense"))
+        setattr(cloud, name, not getattr(cloud, name))
+    elif what == 3:
+        _fields(rng, cloud)
+    elif what == 4:
+        cloud.data = damaged_bytes(rng, bytes(cloud.data))
+    elif what == 5:
+        cloud.height, cloud.width = rng.choice(
+            ((2, cloud.width // 2), (cloud.width, 1), (1, cloud.width * 2))
+        )
+    else:
+        values = np.frombuffer(bytes(cloud.data)[: len(cloud.data) // 4 * 4], dtype="<f4").copy()
+        if len(values):
+            share = rng.choice((0.001, 0.1, 1.0))
+            chosen = np.random.default_rng(rng.getrandbits(32)).random(len(values)) < share
+            with np.errstate(over="ignore"):
+                values[chosen] = np.float32(rng.choice(_FLOATS))
+            cloud.data = values.tobytes()
+
+
+def _near(rng: random.Random, cloud: PointCloud2) -> int:
+    true = rng.choice((cloud.width, cloud.point_step, cloud.row_step, len(cloud.data)))
+    return rng.choice((*_UNSIGNED, true, true + 1, max(true - 1, 0), min(2 * true, 2**32 - 1)))
+
+
+def _fields(rng: random.Random, cloud: PointCloud2) -> None:
+    fields = list(cloud.fields)
+    at, what = rng.randrange(max(1, len(fields))), rng.randrange(7)
+    if not fields or what == 0:
+        fields.append(PointField(name=rng.choice(_NAMES), offset=0, datatype=7, count=1))
+    elif what == 1:
+        del fields[at]
+    elif what == 2:
+        fields[at].name = rng.choice(_NAMES)
+    elif what == 3:
+        fields[at].offset = rng.choice((*_UNSIGNED, 20, 21, 24))
+    elif what == 4:
+        fields[at].datatype = rng.choice((0, 1, 2, 5, 6, 7, 8, 9, 255))
+    elif what == 5:
+        fields[at].count = rng.choice(_UNSIGNED)
+    else:
+        fields *= rng.choice((2, 50))
+    cloud.fields = [copy.deepcopy(field) for field in fields[:500]]
+
+
+def _pairs(rng: random.Random, pairs: Correspondences) -> None:
+    what, entries = rng.randrange(5), len(pairs.reference) // 3
+    if what == 0:
+        _header(rng, pairs.header)
+    elif what == 1:
+        reference = list(pairs.reference)
+        if reference:
+            reference[rng.randrange(len(reference))] = _as_float32(rng)
+        pairs.reference = reference[: rng.choice((len(reference), 0, 1, 4, len(reference) - 3))] * rng.choice(
+            (1, 1, 2)
+        )
+    elif what == 2:
+        index = rng.choice((list(range(entries)), [0] * entries, list(range(entries))[::-1], [entries], []))
+        if index and rng.random() < 0.5:
+            index[rng.randrange(len(index))] = rng.choice(_UNSIGNED)
+        pairs.index = index
+    elif what == 3:
+        sigma = [0.002] * rng.choice((entries, entries, 1, 0, entries + 1))
+        if sigma:
+            sigma[rng.randrange(len(sigma))] = _as_float32(rng)
+        pairs.sigma = sigma
+    else:
+        pairs.header.frame_id = rng.choice(_FRAMES)
+
+
+def _as_float32(rng: random.Random) -> float:
+    with np.errstate(over="ignore"):
+        return float(np.float32(rng.choice(_FLOATS)))
+
+
+def _registration(rng: random.Random, message: TransformStamped) -> None:
+    if rng.random() < 0.2:
+        _header(rng, message.header)
+    elif rng.random() < 0.3:
+        message.child_frame_id = rng.choice(_FRAMES)
+    else:
+        part, axis = rng.choice((("translation", "xyz"), ("rotation", "xyzw")))
+        setattr(getattr(message.transform, part), rng.choice(axis), rng.choice(_FLOATS))
+
+
+def _warp(rng: random.Random, request: WarpPoints.Request) -> None:
+    if rng.random() < 0.3:
+        _header(rng, request.header)
+        return
+    points = (list(request.points) * rng.choice((1, 1, 1, 100, 2000)))[:_MOST_NUMBERS]
+    points = points[: rng.choice((len(points), len(points), 0, 1, 4))]
+    if points:
+        points[rng.randrange(len(points))] = rng.choice(_FLOATS)
+    request.points = points
+
+
+def _load(rng: random.Random, request: LoadOrgan.Request) -> None:
+    request.folder = rng.choice(_PATHS[1:])  # the empty one is the bundled organ
+
+
+def _parameters(rng: random.Random, request: SetParameters.Request) -> None:
+    value = ParameterValue(type=rng.choice((*range(10), 3, 3, 3, 10, 77, 255)))
+    value.bool_value, value.integer_value = rng.random() < 0.5, rng.choice((0, 1, -1, 5, 2**63 - 1, -(2**63)))
+    value.double_value, value.string_value = rng.choice(_FLOATS), rng.choice(_PATHS)
+    value.double_array_value, value.string_array_value = [rng.choice(_FLOATS)], [rng.choice(_PATHS)]
+    request.parameters = [*request.parameters, Parameter(name=rng.choice(PARAMETERS), value=value)][
+        -rng.choice((1, 3)) :
+    ]
+
+
+_CHANGES = {
+    PointCloud2: _cloud,
+    Correspondences: _pairs,
+    TransformStamped: _registration,
+    WarpPoints.Request: _warp,
+    LoadOrgan.Request: _load,
+    Reset.Request: lambda _rng, _request: None,
+    SetParameters.Request: _parameters,
+}

@@ -1,0 +1,79 @@
+"""Damaged messages and requests, put into the callbacks of a whole node in this process."""
+
+import random
+from pathlib import Path
+
+from fuzz.damage import damaged_bytes
+from fuzz.kind import Kind, MissingError
+
+try:
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    from fuzz.message_damage import damaged_message, good_message
+    from fuzz.node_inside import NodeInside
+except ImportError as error:
+    MISSING = str(error)
+else:
+    MISSING = ""
+
+_BYTES_SHARE = 0.25
+_KINDS = (
+    ("cloud",) * 8
+    + ("pair",) * 4
+    + ("registration", "warp_points", "parameters") * 2
+    + ("load_organ", "reset")
+)
+
+
+class Messages(Kind):
+    """Clouds, correspondences, registrations, calls of services and parameters."""
+
+    name = "messages"
+    share = 8
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        if MISSING:
+            raise MissingError(MISSING)
+        self._node = NodeInside(folder)
+        self._scene = self._node.scene
+
+    def make(self, rng: random.Random) -> tuple[str, bytes]:
+        kind = rng.choice(_KINDS)
+        parts = [serialize_message(message) for message in damaged_message(rng, kind, self._scene)]
+        if rng.random() < _BYTES_SHARE:
+            at = rng.randrange(len(parts))
+            parts[at] = parts[at][:4] + damaged_bytes(rng, parts[at][4:])
+        return f"{kind}.cdr", packed(parts)
+
+    def run(self, name: str, content: bytes) -> str:
+        kind = name.removesuffix(".cdr")
+        types = [type(message) for message in good_message(kind, self._scene)]
+        messages = []
+        for data, type_of in zip(unpacked(content), types, strict=True):
+            try:
+                messages.append(deserialize_message(data, type_of))
+            except Exception:  # such bytes the middleware leaves, whose error is counted (`BoundedExecutor`)
+                return "no message"
+        return self._node.take(kind, messages)
+
+    def check_good(self) -> None:
+        self._node.check_good()
+
+    def close(self) -> None:
+        self._node.close()
+
+
+def packed(parts: list[bytes]) -> bytes:
+    """Put byte strings one behind another."""
+    return b"".join(len(part).to_bytes(4, "little") + part for part in parts)
+
+
+def unpacked(content: bytes) -> list[bytes]:
+    """Undo `packed`."""
+    parts, at = [], 0
+    while at < len(content):
+        length = int.from_bytes(content[at : at + 4], "little")
+        parts.append(content[at + 4 : at + 4 + length])
+        at += 4 + length
+    return parts
