@@ -110,6 +110,20 @@ class EstimatorConfig:
         limits=(1e-5, 0.01),
     )
 
+    registration_sigma_m: float = _setting(
+        0.005,
+        "Standard deviation of each component of the registration's translation, at the organ's centre: the largest "
+        "that is expected. Used by 'elastic'.",
+        unit="m",
+        limits=(1e-5, 0.05),
+    )
+    registration_sigma_rad: float = _setting(
+        0.05,
+        "Standard deviation of the registration's rotation about each axis: the largest that is expected. Used by "
+        "'elastic'.",
+        unit="rad",
+        limits=(1e-5, 0.5),
+    )
     attachment_length_m: float = _setting(
         0.002,
         "Attached surface is held as by tissue of this thickness; more where it is uncertain what is attached. Used by "

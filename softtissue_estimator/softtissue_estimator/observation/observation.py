@@ -52,6 +52,13 @@ class Observation:
     sigma: FloatArray
     located: LocatedPoints | None = None
 
+    def part(self, kept: BoolArray) -> "Observation":
+        """Return the points that are kept, (n,)."""
+        located = self.located
+        if located is not None:
+            located = LocatedPoints(located.lookup, located.sample[kept])
+        return Observation(self.reference[kept], self.displacement[kept], self.sigma[kept], located)
+
     def nearest_sample(self, lookup: SurfaceLookup) -> IntArray:
         """Sample of a surface nearest to each reference point, (n,); -1 where the surface is out of reach."""
         if self.located is not None and self.located.lookup is lookup:

@@ -35,7 +35,7 @@ class LatestWorker(Generic[ItemT]):
         self._work, self._on_crash = work, on_crash
         self._condition = threading.Condition()
         self._item: ItemT | None = None
-        self._stopping = False
+        self._stopping = self._working = False
         self._background = background
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
@@ -52,6 +52,11 @@ class LatestWorker(Generic[ItemT]):
         with self._condition:
             item, self._item = self._item, None
         return item
+
+    def idle(self) -> None:
+        """Wait until nothing handed over is left to be worked on."""
+        with self._condition:
+            self._condition.wait_for(lambda: (self._item is None and not self._working) or self._stopping)
 
     def stop(self, timeout_s: float) -> bool:
         """Stop after the item at work; return whether the thread ended within `timeout_s`."""
@@ -72,8 +77,12 @@ class LatestWorker(Generic[ItemT]):
                 if self._stopping:
                     return
                 item, self._item = self._item, None
+                self._working = item is not None
             if item is not None:
                 try:
                     self._work(item)
                 except Exception as error:  # the thread's owner reports it
                     self._on_crash(error)
+                with self._condition:
+                    self._working = False
+                    self._condition.notify_all()

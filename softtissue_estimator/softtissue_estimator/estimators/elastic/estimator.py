@@ -7,10 +7,12 @@ from threadpoolctl import ThreadpoolController
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
+from softtissue_estimator.estimators.elastic.registration_error import expected_error
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.estimators.elastic.tracking import ElasticTracker
 from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progress, silent
 from softtissue_estimator.inference.device import choose_device, device_stopwatch, one_thread
+from softtissue_estimator.observation.consensus import continuous
 from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.observation.patch_average import ObservedPatches, average_patches, fit_patches
 from softtissue_estimator.organ.mesh import FloatArray
@@ -134,14 +136,25 @@ class ElasticEstimator(Estimator):
             raise InvalidInputError(f"elastic estimator: expected load_organ before {before}, got no organ")
         return self._model
 
+    def _believed(self, observation: Observation) -> Observation:
+        kept = continuous(observation.reference, observation.displacement)
+        return observation if kept.all() else observation.part(kept)
+
     def _estimate(self, observation: Observation, model: ElasticModel) -> ElasticEstimate:
         watch = device_stopwatch(self._device)
-        patches = average_patches(observation, model.lookup)
+        patches = average_patches(self._believed(observation), model.lookup)
         watch.lap("match")
         least = self._config.model_sigma_m
         motion = fit_patches(patches, least)
         watch.lap("rigid")
-        solver = Solver(model, patches, motion, self._config.prior_sigma_m, least)
+        registration = expected_error(
+            model.mesh.nodes.mean(axis=0),
+            self._config.registration_sigma_m,
+            self._config.registration_sigma_rad,
+        )
+        if self._tracker is not None:
+            registration = self._tracker.registration(registration)
+        solver = Solver(model, patches, motion, registration, self._config.prior_sigma_m, least)
         posterior = solver.solve() if self._tracker is None else self._tracker.answer(solver)
         watch.lap("solve")
         sigma = solver.deviation(posterior)

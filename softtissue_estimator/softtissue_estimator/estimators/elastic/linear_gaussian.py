@@ -91,19 +91,21 @@ def equal_variances(tangent: Tangent, observed: ObservedNodes, prior_sigma_m: fl
 
 
 def condition(
-    tangent: Tangent, observed: ObservedNodes, variances: Tensor, updates: int
+    tangent: Tangent, observed: ObservedNodes, nuisance: Tensor, variances: Tensor, updates: int
 ) -> tuple[Amplitudes, float]:
     """Condition the loads on an observation; also the logarithm of the evidence, with a constant of the noise alone.
 
     Parameters
     ----------
+    nuisance : (n, 3, k) float64 m
+        What moves the observed nodes without moving the organ, each with the prior N(0, 1).
     variances : (p,) float64
         Of the amplitudes, to start from.
     updates : int
         How often the variances are re-estimated.
     """
     # In double precision from here on: G is as large as the square of the signal over the noise.
-    rows = _rows(tangent, observed).double()
+    rows = torch.cat([_rows(tangent, observed).double(), nuisance.index_select(0, observed.nodes)], dim=2)
     count, _, rank = rows.shape
     flat = rows.reshape(3 * count, rank)
     gram = flat.T @ (observed.normal @ rows.reshape(count, 3 * rank)).reshape(3 * count, rank)
@@ -117,18 +119,21 @@ def condition(
 
 def mean_displacement(tangent: Tangent, amplitudes: Amplitudes) -> Tensor:
     """Posterior mean at the nodes, (n, 3) float64 m."""
-    moved = tangent.response @ amplitudes.mean.float()
+    moved = tangent.response @ amplitudes.loads.float()
     return tangent.offset + moved.double().reshape(-1, 3)
 
 
 def standard_deviation(tangent: Tangent, amplitudes: Amplitudes) -> Tensor:
     """Root mean square of the three components' posterior standard deviations at the nodes, (n,) float64 m."""
     # Single precision is plenty for a standard deviation.
-    half = (invert_lower(amplitudes.factor) * amplitudes.root).float()  # L^-1 D, lower triangular like L
+    root = amplitudes.root
+    count = len(root)
+    half = (invert_lower(amplitudes.factor)[:, :count] * root).float()  # L^-1 D, lower triangular like L
     variance = torch.zeros(len(tangent.state), device=half.device)
     for begin in range(0, len(half), _BLOCK_ROWS):
         end = min(begin + _BLOCK_ROWS, len(half))
-        part = tangent.response[:, :end] @ half[begin:end, :end].T
+        loads = min(end, count)
+        part = tangent.response[:, :loads] @ half[begin:end, :loads].T
         variance += part.square().view(-1, 3 * (end - begin)).sum(dim=1)
     return (variance / 3.0).sqrt().double()
 

@@ -1,16 +1,18 @@
 """What an organ needs computed once for the elastic posterior: tetrahedra, springs that hold it, possible loads."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
+from torch import Tensor
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimators.elastic.elasticity import nodal_volumes
-from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody, RestingBody
+from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody, RestingBody, to_tensor
 from softtissue_estimator.estimators.elastic.loads import load_basis
 from softtissue_estimator.estimators.elastic.tissue import RatioPrior, ratio_prior
 from softtissue_estimator.estimators.estimator import Progress
@@ -57,6 +59,11 @@ class ElasticModel:
     sample_tet: IntArray
     query: csr_array
     device: torch.device
+
+    @cached_property
+    def nodes(self) -> Tensor:
+        """Nodes of the mesh, (n, 3) float64 m, on the device."""
+        return to_tensor(self.mesh.nodes, self.device)
 
     def surface_interpolation(self, points: FloatArray) -> csr_array:
         """Interpolate from the nodes to points (k, 3) m near the surface, (k, n); one table access a point."""

@@ -2,11 +2,14 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
+from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.relevance import Amplitudes
+from softtissue_estimator.organ.mesh import FloatArray
 
 MOST_RELEVANT_LOADS = 40
 """Loads that a frame considers which follows another one."""
@@ -30,6 +33,10 @@ class Posterior:
         Which of the model's Poisson's ratios it supposes.
     log_evidence : float
         For comparison with other posteriors of the same observation.
+    registration : RegistrationError
+        What was supposed of the registration before; the nuisance parameters are its error.
+    hidden_variance : (n,) float64 m^2 or None
+        Of the nodes, by loads that this posterior leaves out; None where it has all loads.
     """
 
     tangent: Tangent
@@ -38,6 +45,14 @@ class Posterior:
     model_sigma_m: float
     ratio: int
     log_evidence: float
+    registration: RegistrationError
+    hidden_variance: Tensor | None = None
+
+    @property
+    def registration_step(self) -> FloatArray:
+        """Mean of the registration's error beside the correction that was supposed, (6,) m and rad."""
+        scaled = self.amplitudes.nuisance.cpu().numpy()
+        return np.asarray(self.registration.mean + self.registration.root @ scaled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +69,8 @@ class WarmStart:
         Of all loads.
     model_sigma_m : float
     ratio : int
+    hidden_variance : (n,) float64 m^2 or None
+        Of the nodes, by the loads that are left out; None where that is not known.
     """
 
     tangent: Tangent
@@ -61,13 +78,16 @@ class WarmStart:
     all_variances: Tensor
     model_sigma_m: float
     ratio: int
+    hidden_variance: Tensor | None = None
 
 
-def warm_start(posterior: Posterior) -> WarmStart:
-    """Keep of a posterior over all loads what the next observation needs."""
+def warm_start(posterior: Posterior, hidden_variance: Tensor | None = None) -> WarmStart:
+    """Keep of a posterior over all loads, and of `Solver.hidden_variance`, what the next observation needs."""
     variances = posterior.amplitudes.variances
     relevant = torch.topk(variances, min(MOST_RELEVANT_LOADS, len(variances))).indices.sort().values
     columns = (3 * relevant[:, None] + torch.arange(3, device=variances.device)).reshape(-1)
     whole = posterior.tangent
     tangent = Tangent(whole.state, whole.offset, whole.response[:, columns].contiguous())
-    return WarmStart(tangent, variances[relevant], variances, posterior.model_sigma_m, posterior.ratio)
+    return WarmStart(
+        tangent, variances[relevant], variances, posterior.model_sigma_m, posterior.ratio, hidden_variance
+    )

@@ -1,6 +1,7 @@
 """From observed patches to the elastic posterior: Gauss-Newton steps, each with its own relevance of the loads."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent, to_tensor
 from softtissue_estimator.estimators.elastic.linear_gaussian import (
+    ObservedNodes,
     condition,
     equal_variances,
     mean_displacement,
@@ -19,6 +21,8 @@ from softtissue_estimator.estimators.elastic.linear_gaussian import (
 from softtissue_estimator.estimators.elastic.model import ElasticModel
 from softtissue_estimator.estimators.elastic.plausibility import plausible_fit
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
+from softtissue_estimator.estimators.elastic.registration_error import REGISTRATION_SCALES, RegistrationError
+from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest, settled
 from softtissue_estimator.observation.patch_average import ObservedPatches, student_weights
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import FloatArray
@@ -34,6 +38,9 @@ MOST_MODEL_SIGMA_M = 0.003
 MODEL_SIGMA_OVER_MISFIT = 5.0
 # What the loads' posterior cannot know: elements and material are wrong by this share of what the organ bends.
 MODEL_ERROR_SHARE = 0.025
+LEAST_VARIANCE_SHARE = 1e-3
+"""Of a load's variance before any observation, which stays in the standard deviation: relevance determination prunes
+the loads that nothing was seen of, and with them the doubt about what is hidden."""
 LEAST_DEVIATION_M = 5e-5  # standard deviation of any answer, for all that the model does not describe
 LOST_TRACK_MISFIT_M = 0.0015
 """Where more than this is left unexplained, the organ has moved too far to be followed."""
@@ -52,6 +59,8 @@ class Solver:
     patches : ObservedPatches
     motion : RigidMotion
         Best rigid motion of these, about which the organ is linear at first.
+    registration : RegistrationError
+        What is known of it before.
     prior_sigma_m, model_sigma_m : float
         As in `EstimatorConfig`.
     """
@@ -61,10 +70,12 @@ class Solver:
         model: ElasticModel,
         patches: ObservedPatches,
         motion: RigidMotion,
+        registration: RegistrationError,
         prior_sigma_m: float,
         model_sigma_m: float,
     ) -> None:
-        self._model, self._patches = model, patches
+        self._model, self._patches, self._registration = model, patches, registration
+        self._positions = patches.reference + patches.displacement
         self._prior_sigma_m, self._least_sigma_m = prior_sigma_m, model_sigma_m
         self._interpolation: csr_array = model.surface_interpolation(patches.reference)
         nodes = model.mesh.nodes
@@ -74,20 +85,39 @@ class Solver:
         self._rest = torch.zeros_like(self._moved) if model.organ.attached.any() else self._moved
 
     @property
+    def registration(self) -> RegistrationError:
+        """What is known of the registration's error before the observation."""
+        return self._registration
+
+    @property
     def ratios(self) -> frozenset[int]:
         """Numbers of the Poisson's ratios that the organ may have."""
         return self._model.ratios.numbers
 
     def solve(self) -> Posterior:
         """Explain the observation without knowing anything from before."""
-        posterior = self.start()
-        # The first step is large, and what it collapses comes back in the next.
-        posterior = self.improve(posterior, posterior.amplitudes.variances, guarded=False)
+        found = [explained(self, self._registration, scale) for scale in REGISTRATION_SCALES]
+        posterior = settled(self, likeliest(self, found))
         for _ in range(MOST_RATIO_CHANGES):
             before, posterior = posterior.ratio, self._improve_by_choice(posterior)
             if posterior.ratio == before:
                 break
         return posterior
+
+    def evidence_with(self, posterior: Posterior, sigma: float) -> float:
+        """Return the logarithm of a posterior's evidence with another error of the model, m."""
+        if posterior.model_sigma_m == sigma:
+            return posterior.log_evidence
+        weight = self._weights(self.residual(posterior), posterior.model_sigma_m)
+        return self._explain(
+            posterior.tangent,
+            posterior.registration,
+            posterior.amplitudes.variances,
+            sigma,
+            weight,
+            0,
+            posterior.ratio,
+        ).log_evidence
 
     def follow(self, start: WarmStart) -> Posterior | None:
         """Explain the observation about the state of an earlier one, in a few milliseconds.
@@ -97,7 +127,13 @@ class Solver:
         weight, sigma = np.ones(len(self._patches.precision)), start.model_sigma_m
         for _ in range(2):
             explain = partial(
-                self._explain, start.tangent, start.variances, weight=weight, updates=1, ratio=start.ratio
+                self._explain,
+                start.tangent,
+                self._registration,
+                start.variances,
+                weight=weight,
+                updates=1,
+                ratio=start.ratio,
             )
             posterior = self._plausible(explain, sigma)
             residual = self.residual(posterior)
@@ -108,26 +144,28 @@ class Solver:
             sigma = max(sigma, self._model_sigma(misfit))
             if weight.min() == 1.0 and sigma <= _LARGER_MODEL_SIGMA_RATIO * posterior.model_sigma_m:
                 break
-        return None if misfit >= LOST_TRACK_MISFIT_M else posterior
+        if misfit >= LOST_TRACK_MISFIT_M:
+            return None
+        return replace(posterior, hidden_variance=start.hidden_variance)
 
-    def start(self, updates: int = VARIANCE_UPDATES) -> Posterior:
+    def start(self, registration: RegistrationError, updates: int = VARIANCE_UPDATES) -> Posterior:
         """Explain the observation with the organ linear about its rigid motion: the first step of `solve`."""
         tangent = self._model.resting.linearise_moved(self._rotation, self._moved, self._rest)
         weight = np.ones(len(self._patches.precision))
         ratio = self._model.ratios.expected
         return self._plausible(
-            lambda sigma: self._explain(tangent, None, sigma, weight, updates, ratio), FIRST_MODEL_SIGMA_M
+            lambda sigma: self._explain(tangent, registration, None, sigma, weight, updates, ratio),
+            FIRST_MODEL_SIGMA_M,
         )
 
     def _improve_by_choice(self, posterior: Posterior) -> Posterior:
         """Make one more step with every Poisson's ratio towards which the observation becomes more likely."""
-        variances = posterior.amplitudes.variances
-        best = self.improve(posterior, variances, guarded=True)
+        best = self.improve(posterior, guarded=True)
         tried = {best.ratio}
         for direction in (1, -1):
             while best.ratio + direction in self.ratios - tried:
                 ratio = best.ratio + direction
-                other = self.improve(posterior, variances, guarded=True, ratio=ratio)
+                other = self.improve(posterior, guarded=True, ratio=ratio)
                 tried.add(ratio)
                 if other.log_evidence <= best.log_evidence:
                     break
@@ -135,7 +173,12 @@ class Solver:
         return best
 
     def improve(
-        self, posterior: Posterior, variances: Tensor, *, guarded: bool, ratio: int | None = None
+        self,
+        posterior: Posterior,
+        variances: Tensor | None = None,
+        *,
+        guarded: bool,
+        ratio: int | None = None,
     ) -> Posterior:
         """Make one more step of `solve`.
 
@@ -143,34 +186,65 @@ class Solver:
         ----------
         posterior : Posterior
             From which to go on.
-        variances : (p,) float64
-            Of all loads.
+        variances : (p,) float64 or None
+            Of all loads; those of `posterior` by default.
         guarded : bool
             Whether to stop short of collapsing elements.
         ratio : int or None
             Which Poisson's ratio to suppose; that of `posterior` by default.
         """
         ratio = posterior.ratio if ratio is None else ratio
+        variances = posterior.amplitudes.variances if variances is None else variances
         residual = self.residual(posterior)
         weight = self._weights(residual, posterior.model_sigma_m)
         body = self._model.body
+        registration = posterior.registration.moved_by(posterior.registration_step)
         state = body.guarded(posterior.tangent.state, posterior.mean) if guarded else posterior.mean
         tangent = body.linearise(state, self._rest, self._model.ratios.ratios[ratio])
         return self._plausible(
-            lambda sigma: self._explain(tangent, variances, sigma, weight, VARIANCE_UPDATES, ratio),
+            lambda sigma: self._explain(
+                tangent, registration, variances, sigma, weight, VARIANCE_UPDATES, ratio
+            ),
             self._model_sigma(self._misfit(residual, weight)),
         )
 
     def residual(self, posterior: Posterior) -> FloatArray:
         """Return the observed displacement of each patch minus the mean, (c, 3) m."""
-        return np.asarray(self._patches.displacement - self._interpolation @ posterior.mean.cpu().numpy())
+        shift = self._nuisance(posterior.tangent, posterior.registration) @ posterior.amplitudes.nuisance
+        expected = self._interpolation @ (posterior.mean + shift).cpu().numpy()
+        return np.asarray(self._displacement(posterior.registration) - expected)
+
+    def _displacement(self, registration: RegistrationError) -> FloatArray:
+        """Observed displacement of each patch with what is supposed of the registration taken out, (c, 3) m."""
+        return registration.corrected(self._positions) - self._patches.reference
+
+    def _nuisance(self, tangent: Tangent, registration: RegistrationError) -> Tensor:
+        """Displacement of the nodes by one standard deviation of each nuisance parameter, (n, 3, k) m."""
+        return registration.columns(self._model.nodes + tangent.state)
 
     def deviation(self, posterior: Posterior) -> FloatArray:
         """Return the standard deviation of each component at the nodes, (n,) m."""
         linear = standard_deviation(posterior.tangent, posterior.amplitudes)
+        hidden = posterior.hidden_variance
+        if hidden is None:
+            hidden = self.hidden_variance(posterior)
         bent = torch.linalg.vector_norm(posterior.mean - self._moved, dim=1)
-        variance = linear.square() + (MODEL_ERROR_SHARE * bent).square() + LEAST_DEVIATION_M**2
+        variance = linear.square() + hidden + (MODEL_ERROR_SHARE * bent).square() + LEAST_DEVIATION_M**2
         return np.asarray(variance.sqrt().cpu().numpy(), dtype=np.float64)
+
+    def hidden_variance(self, posterior: Posterior) -> Tensor:
+        """Return what the loads that relevance determination pruned add to the nodes' variance, (n,) m^2.
+
+        Parameters
+        ----------
+        posterior : Posterior
+            With all loads.
+        """
+        sparse = standard_deviation(posterior.tangent, posterior.amplitudes)
+        observed = self._observed(posterior.registration, self._patches.precision)
+        least = LEAST_VARIANCE_SHARE * equal_variances(posterior.tangent, observed, self._prior_sigma_m)
+        dense = standard_deviation(posterior.tangent, posterior.amplitudes.with_least_variances(least))
+        return (dense.square() - sparse.square()).clamp_min(0.0)
 
     def _plausible(self, fit: Callable[[float], Posterior], model_sigma_m: float) -> Posterior:
         return plausible_fit(fit, model_sigma_m, self._model.body, self._patches.displacement)
@@ -178,6 +252,7 @@ class Solver:
     def _explain(
         self,
         tangent: Tangent,
+        registration: RegistrationError,
         variances: Tensor | None,
         sigma: float,
         weight: FloatArray,
@@ -185,12 +260,19 @@ class Solver:
         ratio: int,
     ) -> Posterior:
         precision = weight * self._patches.precision_with(sigma)
-        observed = sum_up(self._interpolation, self._patches.displacement, precision, self._model.device)
+        observed = self._observed(registration, precision)
         if variances is None:
             variances = equal_variances(tangent, observed, self._prior_sigma_m)
-        amplitudes, evidence = condition(tangent, observed, variances, updates)
+        amplitudes, evidence = condition(
+            tangent, observed, self._nuisance(tangent, registration), variances, updates
+        )
         evidence += 1.5 * float(np.log(precision).sum()) + self._model.ratios.log_probability[ratio]
-        return Posterior(tangent, amplitudes, mean_displacement(tangent, amplitudes), sigma, ratio, evidence)
+        mean = mean_displacement(tangent, amplitudes)
+        return Posterior(tangent, amplitudes, mean, sigma, ratio, evidence, registration)
+
+    def _observed(self, registration: RegistrationError, precision: FloatArray) -> ObservedNodes:
+        """Sum the observation up at the nodes."""
+        return sum_up(self._interpolation, self._displacement(registration), precision, self._model.device)
 
     def _weights(self, residual: FloatArray, sigma: float) -> FloatArray:
         weight = student_weights(residual, self._patches.precision_with(sigma))

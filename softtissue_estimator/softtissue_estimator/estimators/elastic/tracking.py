@@ -10,6 +10,9 @@ from dataclasses import dataclass
 import torch
 
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart, warm_start
+from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
+from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
+from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.inference.device import one_thread
 from softtissue_estimator.support.latest_worker import LatestWorker
@@ -35,6 +38,7 @@ class _Task:
     epoch: int
     guarded: bool
     ratio: int | None
+    scales: tuple[float, ...]
 
 
 class ElasticTracker:
@@ -58,6 +62,13 @@ class ElasticTracker:
         self._ratio_trials = itertools.cycle([*none, 1, *none, -1])
         self._closed = False
         self._worker: LatestWorker[_Task] | None = None
+        self._registration: RegistrationFilter | None = None
+
+    def registration(self, expected: RegistrationError) -> RegistrationError:
+        """Return what is known of the registration before the next frame."""
+        if self._registration is None:
+            self._registration = RegistrationFilter(expected)
+        return self._registration.supposed
 
     def answer(self, solver: Solver) -> Posterior:
         """Explain the newest observation."""
@@ -66,7 +77,7 @@ class ElasticTracker:
         posterior = None if earlier is None else solver.follow(earlier)
         started = None
         if posterior is None or earlier is None:
-            posterior = solver.start(_START_VARIANCE_UPDATES)
+            posterior = solver.start(solver.registration, _START_VARIANCE_UPDATES)
             variances, rigid = posterior.amplitudes.variances, True
             # What comes before the thread has made a step follows this answer, which takes long.
             started = warm_start(posterior)
@@ -74,7 +85,8 @@ class ElasticTracker:
             # Loads that have become irrelevant get a little back, so that a new one can be found.
             floor = _LEAST_VARIANCE_SHARE * float(earlier.all_variances.max())
             variances = earlier.all_variances.clamp_min(floor)
-        task = _Task(solver, posterior, variances, epoch, not rigid, ratio)
+        scales = (1.0,) if self._registration is None else self._registration.scales
+        task = _Task(solver, posterior, variances, epoch, not rigid, ratio, scales)
         still = (
             earlier is not None
             and not rigid
@@ -98,7 +110,7 @@ class ElasticTracker:
     def forget(self) -> None:
         """Forget all observations."""
         with self._lock:
-            self._warm_start = self._ratio = None
+            self._warm_start = self._ratio = self._registration = None
             self._epoch += 1
 
     def close(self) -> None:
@@ -114,13 +126,24 @@ class ElasticTracker:
     def _improve(self, task: _Task) -> None:
         with one_thread():
             better = self._improved(task)
+            warm = warm_start(better, task.solver.hidden_variance(better))
         with self._lock:
             if task.epoch == self._epoch:
+                if self._registration is not None:
+                    self._registration.observe(better)
                 self._settled = self._settled + 1 if better.ratio == self._ratio else 0
-                self._warm_start, self._rigid, self._ratio = warm_start(better), False, better.ratio
+                self._warm_start, self._rigid, self._ratio = warm, False, better.ratio
                 self._stepped_s = time.monotonic()
 
     def _improved(self, task: _Task) -> Posterior:
+        if not task.guarded:
+            # The first step about a rigid motion: how exact the registration is must be found out, too.
+            found: list[Posterior] = []
+            for scale in task.scales:
+                if found and self._closed:
+                    break
+                found.append(explained(task.solver, task.solver.registration, scale))
+            return likeliest(task.solver, found)
         better = self._step(task, task.ratio)
         direction = next(self._ratio_trials)
         if direction and task.guarded and better.ratio + direction in task.solver.ratios:

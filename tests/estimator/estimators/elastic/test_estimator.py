@@ -1,5 +1,6 @@
 """The whole way from an observation to displacements, against motions that are known."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
 CONFIG = EstimatorConfig()
+EXACTLY_REGISTERED = EstimatorConfig(registration_sigma_m=1e-5, registration_sigma_rad=1e-5)
 SURFACE = ellipsoid((0.08, 0.05, 0.04), subdivisions=3)
 
 
@@ -115,12 +117,15 @@ def test_hidden_points_of_a_nonlinear_organ_are_found(truth, estimator):
 @pytest.mark.parametrize(
     ("ratio", "lowest", "highest", "other"), [(0.25, 0.25, 0.30, 0.45), (0.45, 0.40, 0.48, 0.25)]
 )
-def test_poissons_ratio_is_told_by_how_the_organ_bends(held, held_organ, ratio, lowest, highest, other):
+def test_poissons_ratio_is_told_by_how_the_organ_bends(held_organ, ratio, lowest, highest, other):
+    held = loaded(held_organ, EXACTLY_REGISTERED)
     truth = pushed(held.mesh, ratio)
     assert 0.01 < np.linalg.norm(truth, axis=1).max() < 0.06
     observation = observe(SURFACE, lambda points: held.interpolation(points) @ truth, sigma=0.0002)
     at_nodes = held.interpolation(held.mesh.nodes)
-    supposed = loaded(held_organ, EstimatorConfig(poisson_ratio=other, poisson_ratio_sigma=0.0))
+    supposed = loaded(
+        held_organ, dataclasses.replace(EXACTLY_REGISTERED, poisson_ratio=other, poisson_ratio_sigma=0.0)
+    )
     chosen, kept = (estimator.estimate(observation) for estimator in (held, supposed))
     assert lowest <= chosen.poisson_ratio <= highest
     assert kept.poisson_ratio == other
@@ -129,6 +134,39 @@ def test_poissons_ratio_is_told_by_how_the_organ_bends(held, held_organ, ratio, 
         for answer in (chosen, kept)
     ]
     assert errors[0] < 0.8 * errors[1]
+
+
+@pytest.mark.parametrize(("turned_rad", "shifted_m", "share"), [(0.035, 0.003, 0.75), (0.087, 0.010, 0.4)])
+def test_registration_that_is_off_is_found_out(truth, turned_rad, shifted_m, share):
+    """What rests where the organ is attached cannot have moved rigidly: the doubt costs a fraction of the error."""
+    estimator = loaded(truth.organ)
+    sure = loaded(truth.organ, EXACTLY_REGISTERED)
+    observation = truth.observe(0.0005)
+    turn = rotation([0.3, -1.0, 0.5], turned_rad)
+    centre = truth.points.mean(axis=0)
+    seen = (observation.reference + observation.displacement - centre) @ turn.T + centre
+    seen += shifted_m * np.array([0.6, 0.0, -0.8])
+    off = dataclasses.replace(observation, displacement=seen - observation.reference)
+    exact, doubting, believing = (
+        one.estimate(given) for one, given in ((sure, observation), (estimator, off), (sure, off))
+    )
+    errors = [truth.error(answer.displacement_at(truth.points)[0]) for answer in (exact, doubting, believing)]
+    assert errors[2] > 2.0 * shifted_m / 3.0
+    assert errors[1] < share * errors[2]
+
+
+def test_instrument_that_is_tracked_with_the_organ_is_left_out(truth):
+    estimator = loaded(truth.organ)
+    observation = truth.observe(0.0005)
+    distance = np.linalg.norm(observation.reference - observation.reference[100], axis=1)
+    piece = distance <= np.quantile(distance, 0.2)
+    moved = observation.displacement + piece[:, None] * np.array([0.010, -0.010, 0.009])
+    answers = [
+        estimator.estimate(given)
+        for given in (observation, dataclasses.replace(observation, displacement=moved))
+    ]
+    errors = [truth.error(answer.displacement_at(truth.points)[0]) for answer in answers]
+    assert errors[1] < errors[0] + 0.001
 
 
 @pytest.mark.parametrize("size", [0.008, 0.012, 0.02])

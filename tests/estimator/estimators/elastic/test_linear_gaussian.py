@@ -34,6 +34,7 @@ OBSERVED = np.flatnonzero((MESH.nodes[:, 2] > LENGTHS[2] - 1e-9) & (MESH.nodes[:
 OBSERVE = csr_array(
     (np.ones(len(OBSERVED)), (np.arange(len(OBSERVED)), OBSERVED)), shape=(len(OBSERVED), len(MESH.nodes))
 )
+NONE = torch.zeros((len(MESH.nodes), 3, 0), dtype=torch.float64)  # nuisance
 PRECISION = np.full(len(OBSERVED), 0.001**-2)
 
 
@@ -54,7 +55,7 @@ def test_mean_and_deviation_are_those_of_the_dense_gaussian_process():
     data = observed(noise=0.001)
     summed = sum_up(OBSERVE, data, PRECISION, CPU)
     variances = equal_variances(TANGENT, summed, 0.015) * torch.linspace(0.2, 2.0, LOADS.shape[1])
-    found, _ = condition(TANGENT, summed, variances, updates=0)
+    found, _ = condition(TANGENT, summed, NONE, variances, updates=0)
     prior = dense_covariance(variances.numpy())
     observe = np.kron(OBSERVE.toarray(), np.eye(3))
     gain = prior @ observe.T @ np.linalg.inv(observe @ prior @ observe.T + 1e-6 * np.eye(3 * len(OBSERVED)))
@@ -64,6 +65,51 @@ def test_mean_and_deviation_are_those_of_the_dense_gaussian_process():
     np.testing.assert_allclose(
         standard_deviation(TANGENT, found).numpy(), np.sqrt(variance), rtol=0.02, atol=1e-6
     )
+
+
+def test_nuisance_explains_what_is_observed_without_moving_the_organ():
+    """Against the dense process whose observation errs by the nuisance, too."""
+    data = observed(noise=0.001) + np.array([0.004, -0.003, 0.002])
+    summed = sum_up(OBSERVE, data, PRECISION, CPU)
+    variances = equal_variances(TANGENT, summed, 0.015)
+    shift = 0.005 * torch.eye(3, dtype=torch.float64).expand(len(MESH.nodes), 3, 3)
+    found, evidence = condition(TANGENT, summed, shift, variances, updates=0)
+    evidence_without = condition(TANGENT, summed, NONE, variances, updates=0)[1]
+    prior = dense_covariance(variances.numpy())
+    observe = np.kron(OBSERVE.toarray(), np.eye(3))
+    shifted = np.kron(np.ones((len(OBSERVED), 1)), 0.005 * np.eye(3))
+    errors = 1e-6 * np.eye(3 * len(OBSERVED))
+    covariances = [
+        observe @ prior @ observe.T + shifted @ shifted.T + errors,
+        observe @ prior @ observe.T + errors,
+    ]
+    gain = prior @ observe.T @ np.linalg.inv(covariances[0])
+    variance = np.diagonal(prior - gain @ observe @ prior).reshape(-1, 3).mean(axis=1)
+    np.testing.assert_allclose(
+        mean_displacement(TANGENT, found).numpy(), (gain @ data.ravel()).reshape(-1, 3), atol=5e-5
+    )
+    np.testing.assert_allclose(
+        standard_deviation(TANGENT, found).numpy(), np.sqrt(variance), rtol=0.02, atol=1e-6
+    )
+    densities = [multivariate_normal(None, covariance).logpdf(data.ravel()) for covariance in covariances]
+    assert evidence - evidence_without == pytest.approx(densities[0] - densities[1], abs=0.5)
+
+
+def test_larger_variances_of_the_loads_leave_more_doubt_and_the_same_mean():
+    summed = sum_up(OBSERVE, observed(), PRECISION, CPU)
+    equal = equal_variances(TANGENT, summed, 0.015)
+    sparse = condition(TANGENT, summed, NONE, equal, updates=10)[0]
+    deviations = [
+        standard_deviation(TANGENT, amplitudes).numpy()
+        for amplitudes in (sparse, sparse.with_least_variances(0.01 * equal))
+    ]
+    free = MESH.nodes[:, 0] > 1e-9
+    assert (deviations[1][free] >= 0.999 * deviations[0][free]).all()
+    assert (deviations[1] > 1.02 * deviations[0]).any()
+    whole = sparse.with_least_variances(torch.maximum(equal, sparse.variances))
+    assert torch.equal(whole.mean, sparse.mean)
+    expected = condition(TANGENT, summed, NONE, whole.variances, updates=0)[0]
+    np.testing.assert_allclose(standard_deviation(TANGENT, whole), standard_deviation(TANGENT, expected))
 
 
 def test_equal_variances_move_the_observed_nodes_as_far_as_expected():
@@ -102,11 +148,12 @@ def test_one_pushed_patch_is_found_among_all():
     start = equal_variances(TANGENT, summed, 0.015)
     errors = [
         np.linalg.norm(
-            mean_displacement(TANGENT, condition(TANGENT, summed, start, updates)[0]).numpy() - truth, axis=1
+            mean_displacement(TANGENT, condition(TANGENT, summed, NONE, start, updates)[0]).numpy() - truth,
+            axis=1,
         ).mean()
         for updates in (0, 15)
     ]
-    found = condition(TANGENT, summed, start, 15)[0].variances.numpy()
+    found = condition(TANGENT, summed, NONE, start, 15)[0].variances.numpy()
     strongest = MESH.nodes[LOADS.argmax(axis=0)][np.argsort(found)[-1]]
     assert np.linalg.norm(strongest - MESH.nodes[LOADS[:, patch].argmax()]) < 0.02
     assert errors[1] < 0.5 * errors[0]
@@ -122,7 +169,7 @@ def test_evidence_compares_as_the_densities_of_the_dense_gaussian_process():
     found, expected = [], []
     for variances, offset in ((start, REST), (0.1 * start, REST), (start, shift)):
         tangent = dataclasses.replace(TANGENT, offset=offset)
-        found.append(condition(tangent, summed, variances, updates=0)[1])
+        found.append(condition(tangent, summed, NONE, variances, updates=0)[1])
         covariance = observe @ dense_covariance(variances.numpy()) @ observe.T
         law = multivariate_normal(
             observe @ offset.numpy().ravel(), covariance + 1e-6 * np.eye(len(covariance))

@@ -57,6 +57,8 @@ _ELASTIC_SETTINGS = (
     "prior_sigma_m",
     "model_sigma_m",
     "attachment_length_m",
+    "registration_sigma_m",
+    "registration_sigma_rad",
 )
 _Result = tuple[str, bytes, list[str], int]
 

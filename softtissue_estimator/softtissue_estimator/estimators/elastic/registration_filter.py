@@ -1,0 +1,69 @@
+"""The registration's error over a stream: constant while the organ deforms, so that every frame tells a little more."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from softtissue_estimator.estimators.elastic.posterior import Posterior
+from softtissue_estimator.estimators.elastic.registration_error import REGISTRATION_SCALES, RegistrationError
+from softtissue_estimator.organ.mesh import FloatArray
+
+_NEW_SHARE = 0.05  # of what a frame tells that follows another one within a tenth of a second
+_WALK_M, _WALK_RAD = 0.0002, 0.0005  # standard deviations by which the error wanders between two of these
+
+
+class RegistrationFilter:
+    """Keeps the distribution of the registration's error from frame to frame.
+
+    Frames that follow each other show nearly the same deformation and err in the same way: of what each tells only a
+    share is new.
+
+    Parameters
+    ----------
+    expected : RegistrationError
+        What is supposed of a registration at worst, before the first frame.
+
+    Attributes
+    ----------
+    supposed : RegistrationError
+        What is known before the next frame.
+    """
+
+    def __init__(self, expected: RegistrationError) -> None:
+        # Most are exact; the first frame that is explained with all loads tells whether this one is.
+        self.supposed = expected.scaled(REGISTRATION_SCALES[0])
+        self._observed = False
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Sizes of the error over what is supposed that the next frame has to choose from: one after the first."""
+        if self._observed:
+            return (1.0,)
+        return tuple(scale / REGISTRATION_SCALES[0] for scale in REGISTRATION_SCALES)
+
+    def observe(self, posterior: Posterior) -> None:
+        """Take a share of what an explained frame tells, and let the error wander until the next.
+
+        Parameters
+        ----------
+        posterior : Posterior
+            With all loads: those that seem irrelevant hold part of the doubt.
+        """
+        begin = 3 * len(posterior.amplitudes.variances)
+        factor = posterior.amplitudes.factor[begin:, begin:].cpu().numpy()
+        inverse = np.linalg.inv(factor)
+        precision = np.linalg.inv(inverse.T @ inverse)
+        share = _NEW_SHARE if self._observed else 1.0
+        self._observed = True
+        told = share * (precision - np.eye(6))
+        right = share * precision @ posterior.amplitudes.nuisance.cpu().numpy()
+        after = np.asarray(np.linalg.inv(np.eye(6) + told), dtype=np.float64)
+        known = posterior.registration.conditioned(after @ right, after)
+        self.supposed = replace(known, root=_wandered(known.root))
+
+
+def _wandered(root: FloatArray) -> FloatArray:
+    walk = np.diag([_WALK_M**2] * 3 + [_WALK_RAD**2] * 3)
+    return np.asarray(np.linalg.cholesky(root @ root.T + walk))
