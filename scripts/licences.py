@@ -43,12 +43,12 @@ def stated_licence(name: str) -> str:
     """Read the licence that the metadata of an installed package state, or the package.xml of a ROS package."""
     package = distribution(name)
     said = package.metadata
-    short = (said["License"] or "").strip()
+    short = (said.get("License") or "").strip()
     classifiers = [line for line in said.get_all("Classifier") or [] if line.startswith("License ::")]
     manifests = [file for file in package.files or [] if file.name == "package.xml" and "share" in file.parts]
     candidates = [
         READ.get(canonicalize_name(name)),
-        said["License-Expression"],
+        said.get("License-Expression"),
         short if len(short) <= 40 and short != "UNKNOWN" else None,
         " or ".join(line.rpartition(" :: ")[2] for line in classifiers),
         *re.findall(r"<license[^>]*>([^<]+)", "".join(file.read_text() for file in manifests)),

@@ -14,7 +14,7 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 
 from integration.signal_pairs import try_pairs
 
-PAIRS = int(os.environ.get("SIGNAL_PAIRS", "4"))
+PAIRS = int(os.environ.get("SIGNAL_PAIRS", "2"))
 
 
 @pytest.mark.timeout(60 + 30 * PAIRS)
@@ -61,6 +61,24 @@ def test_program_that_cannot_stop_ends_at_last():
         began = time.monotonic()
         assert process.wait(5.0) == 0
         assert time.monotonic() - began < 2.0
+
+
+def test_program_whose_libraries_keep_pythons_lock_ends_and_says_where():
+    body = """
+    import ctypes
+    stop = StopRequest(0.3)
+    stop.begin()
+    print("ready", flush=True)
+    stop.event.wait()
+    ctypes.PyDLL(None).sleep(60)
+    """
+    with subprocess.Popen(
+        program(body), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(15.0) == 1
+        assert "most recent call first" in process.stderr.read()
 
 
 def test_program_that_still_imports_ends_at_once():

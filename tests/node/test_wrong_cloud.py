@@ -81,7 +81,7 @@ def test_wrong_cloud_is_not_answered_at_level_ok(scene, make):
     assert reasons
 
 
-@pytest.mark.parametrize("make", [pytest.param(torn_lobe, marks=NO_GUARD), mirrored])
+@pytest.mark.parametrize("make", [torn_lobe, mirrored])
 def test_answers_after_a_wrong_cloud_are_as_without_it(scene, undisturbed, make):
     _, after = played(scene, make(scene))
     assert np.linalg.norm(after - undisturbed, axis=2).max() < MOST_SPOILT_M

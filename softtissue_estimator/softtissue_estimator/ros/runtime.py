@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import faulthandler
 import os
 import select
 import signal
@@ -15,6 +16,7 @@ from typing import Any, NoReturn
 # Nothing heavy is imported here: signals must be caught before that begins.
 
 _SWITCH_INTERVAL_S = 0.0005
+_LAST_MARGIN_S = 2.0  # after the time in which the program should have ended
 
 
 def limit_threads() -> None:
@@ -79,7 +81,7 @@ class StopRequest:
     def __init__(self, within_s: float | None = None) -> None:
         self.event = StopEvent()
         self.exit_code = 0
-        self._begun = False
+        self._begun, self._within_s = False, within_s
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
         if within_s is not None:
@@ -98,6 +100,9 @@ class StopRequest:
             self.event.set()
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        if self._within_s is not None and not self.event.is_set():
+            # A library that never gives Python's lock back would keep the last resort below from its turn, too.
+            faulthandler.dump_traceback_later(self._within_s + _LAST_MARGIN_S, exit=True)
         self.event.set()
 
     def _end_at_last(self, within_s: float) -> None:
