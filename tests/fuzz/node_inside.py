@@ -130,7 +130,10 @@ class NodeInside:
         self._forget()
         if self._node.organ_name != self.scene.organ.name:  # an empty path is that of the bundled organ
             self._call("load_organ", LoadOrgan.Request(folder=str(self.scene.organ.folder)))
-        self._call("reset", Reset.Request())
+        end = time.monotonic() + PATIENCE_S
+        while self._call("reset", Reset.Request()) == "refused":  # one was asked for a moment ago
+            expect(time.monotonic() < end, "resets are refused for ever")
+            time.sleep(0.1)
         good = [Parameter(name=name, value=_parameter(value)) for name, value in _VALUES.items()]
         self._call("parameters", SetParameters.Request(parameters=good))
         self._subscriptions["registration"].callback(registration_message(CAMERA_FROM_ORGAN))
