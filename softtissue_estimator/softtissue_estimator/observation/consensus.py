@@ -65,7 +65,10 @@ def continuous(reference: FloatArray, displacement: FloatArray) -> BoolArray:
     beside = np.isfinite(to_good)
     judge = judges[good][np.minimum(nearest, int(good.sum()) - 1)]
     like = np.linalg.norm(rest - rest[judge], axis=1) <= MOST_STRAIN * to_good + noise
-    return np.asarray(~beside | like)
+    # In the middle of a wrong piece there are wrong judges alone.
+    alone = ~beside
+    alone[alone] = ~np.isfinite(tree.query(reference[alone], distance_upper_bound=_REACH_M)[0])
+    return np.asarray(alone | (beside & like))
 
 
 def _edges(distance: FloatArray, other: IntArray) -> tuple[IntArray, IntArray, FloatArray]:

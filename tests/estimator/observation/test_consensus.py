@@ -33,14 +33,16 @@ def test_points_put_anywhere_are_found(share):
     assert kept[wrong].mean() < 0.05
 
 
-@pytest.mark.parametrize("offset", [0.010, 0.017, 0.1])
-def test_piece_that_moves_otherwise_is_found(offset):
-    places, moved = surface()
+@pytest.mark.parametrize(
+    ("offset", "count"), [(0.010, 1200), (0.017, 1200), (0.1, 1200), (0.017, 6000), (0.1, 6000)]
+)
+def test_piece_that_moves_otherwise_is_found(offset, count):
+    places, moved = surface(count)
     distance = np.linalg.norm(places - places[7], axis=1)
     piece = distance < np.quantile(distance, 0.3)
     moved[piece] += offset * np.array([0.6, 0.0, 0.8])
     kept = continuous(places, moved)
-    assert kept[~piece].all()
+    assert kept[~piece].mean() > 0.995
     assert kept[piece].mean() < 0.05
 
 
