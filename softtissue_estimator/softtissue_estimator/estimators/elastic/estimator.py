@@ -7,7 +7,6 @@ from threadpoolctl import ThreadpoolController
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
-from softtissue_estimator.estimators.elastic.registration_error import expected_error
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.estimators.elastic.tracking import ElasticTracker
 from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progress, silent
@@ -136,22 +135,15 @@ class ElasticEstimator(Estimator):
             raise InvalidInputError(f"elastic estimator: expected load_organ before {before}, got no organ")
         return self._model
 
-    def _believed(self, observation: Observation) -> Observation:
-        kept = continuous(observation.reference, observation.displacement)
-        return observation if kept.all() else observation.part(kept)
-
     def _estimate(self, observation: Observation, model: ElasticModel) -> ElasticEstimate:
         watch = device_stopwatch(self._device)
-        patches = average_patches(self._believed(observation), model.lookup)
+        kept = continuous(observation.reference, observation.displacement)
+        patches = average_patches(observation if kept.all() else observation.part(kept), model.lookup)
         watch.lap("match")
         least = self._config.model_sigma_m
         motion = fit_patches(patches, least)
         watch.lap("rigid")
-        registration = expected_error(
-            model.mesh.nodes.mean(axis=0),
-            self._config.registration_sigma_m,
-            self._config.registration_sigma_rad,
-        )
+        registration = model.registration
         if self._tracker is not None:
             registration = self._tracker.registration(registration)
         solver = Solver(model, patches, motion, registration, self._config.prior_sigma_m, least)

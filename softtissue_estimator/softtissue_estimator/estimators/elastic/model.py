@@ -14,6 +14,7 @@ from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimators.elastic.elasticity import nodal_volumes
 from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody, RestingBody, to_tensor
 from softtissue_estimator.estimators.elastic.loads import load_basis
+from softtissue_estimator.estimators.elastic.registration_error import RegistrationError, expected_error
 from softtissue_estimator.estimators.elastic.tissue import RatioPrior, ratio_prior
 from softtissue_estimator.estimators.estimator import Progress
 from softtissue_estimator.organ.mesh import FloatArray, IntArray, vertex_areas
@@ -42,6 +43,8 @@ class ElasticModel:
         With the expected Poisson's ratio.
     ratios : RatioPrior
         What Poisson's ratio may be.
+    registration : RegistrationError
+        What is supposed of it at worst, before any observation.
     sample_tet : (s,) int64
         Tetrahedron of every sample of the lookup.
     query : (q, n) sparse
@@ -56,6 +59,7 @@ class ElasticModel:
     body: HyperelasticBody
     resting: RestingBody
     ratios: RatioPrior
+    registration: RegistrationError
     sample_tet: IntArray
     query: csr_array
     device: torch.device
@@ -104,8 +108,18 @@ def build_model(
     resting = body.at_rest(config.poisson_ratio)
     ratios = ratio_prior(config.poisson_ratio, config.poisson_ratio_sigma)
     query = mesh.interpolation_in(organ.query_points, stored["query_tet"])
+    centre = mesh.nodes.mean(axis=0)
     return ElasticModel(
-        organ, organ.surface_lookup, mesh, body, resting, ratios, stored["sample_tet"], query, device
+        organ,
+        organ.surface_lookup,
+        mesh,
+        body,
+        resting,
+        ratios,
+        expected_error(centre, config.registration_sigma_m, config.registration_sigma_rad),
+        stored["sample_tet"],
+        query,
+        device,
     )
 
 

@@ -179,6 +179,7 @@ class Solver:
         *,
         guarded: bool,
         ratio: int | None = None,
+        registration: RegistrationError | None = None,
     ) -> Posterior:
         """Make one more step of `solve`.
 
@@ -192,13 +193,16 @@ class Solver:
             Whether to stop short of collapsing elements.
         ratio : int or None
             Which Poisson's ratio to suppose; that of `posterior` by default.
+        registration : RegistrationError or None
+            What to suppose of it; what `posterior` supposed, about the correction that it found, by default.
         """
+        if registration is None:
+            registration = posterior.registration.moved_by(posterior.registration_step)
         ratio = posterior.ratio if ratio is None else ratio
         variances = posterior.amplitudes.variances if variances is None else variances
         residual = self.residual(posterior)
         weight = self._weights(residual, posterior.model_sigma_m)
         body = self._model.body
-        registration = posterior.registration.moved_by(posterior.registration_step)
         state = body.guarded(posterior.tangent.state, posterior.mean) if guarded else posterior.mean
         tangent = body.linearise(state, self._rest, self._model.ratios.ratios[ratio])
         return self._plausible(
@@ -224,12 +228,13 @@ class Solver:
 
     def deviation(self, posterior: Posterior) -> FloatArray:
         """Return the standard deviation of each component at the nodes, (n,) m."""
-        linear = standard_deviation(posterior.tangent, posterior.amplitudes)
-        hidden = posterior.hidden_variance
-        if hidden is None:
-            hidden = self.hidden_variance(posterior)
+        if posterior.hidden_variance is None:
+            linear = self._doubting_variance(posterior)
+        else:
+            found = standard_deviation(posterior.tangent, posterior.amplitudes)
+            linear = found.square() + posterior.hidden_variance
         bent = torch.linalg.vector_norm(posterior.mean - self._moved, dim=1)
-        variance = linear.square() + hidden + (MODEL_ERROR_SHARE * bent).square() + LEAST_DEVIATION_M**2
+        variance = linear + (MODEL_ERROR_SHARE * bent).square() + LEAST_DEVIATION_M**2
         return np.asarray(variance.sqrt().cpu().numpy(), dtype=np.float64)
 
     def hidden_variance(self, posterior: Posterior) -> Tensor:
@@ -240,11 +245,15 @@ class Solver:
         posterior : Posterior
             With all loads.
         """
-        sparse = standard_deviation(posterior.tangent, posterior.amplitudes)
+        found = standard_deviation(posterior.tangent, posterior.amplitudes)
+        return (self._doubting_variance(posterior) - found.square()).clamp_min(0.0)
+
+    def _doubting_variance(self, posterior: Posterior) -> Tensor:
+        """Return the nodes' variance with a least variance of every load, (n,) m^2; the posterior has all loads."""
         observed = self._observed(posterior.registration, self._patches.precision)
         least = LEAST_VARIANCE_SHARE * equal_variances(posterior.tangent, observed, self._prior_sigma_m)
-        dense = standard_deviation(posterior.tangent, posterior.amplitudes.with_least_variances(least))
-        return (dense.square() - sparse.square()).clamp_min(0.0)
+        amplitudes = posterior.amplitudes.with_least_variances(least)
+        return standard_deviation(posterior.tangent, amplitudes).square()
 
     def _plausible(self, fit: Callable[[float], Posterior], model_sigma_m: float) -> Posterior:
         return plausible_fit(fit, model_sigma_m, self._model.body, self._patches.displacement)

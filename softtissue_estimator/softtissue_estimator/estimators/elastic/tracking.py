@@ -5,7 +5,7 @@ import itertools
 import logging
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -38,7 +38,6 @@ class _Task:
     epoch: int
     guarded: bool
     ratio: int | None
-    scales: tuple[float, ...]
 
 
 class ElasticTracker:
@@ -80,13 +79,14 @@ class ElasticTracker:
             posterior = solver.start(solver.registration, _START_VARIANCE_UPDATES)
             variances, rigid = posterior.amplitudes.variances, True
             # What comes before the thread has made a step follows this answer, which takes long.
-            started = warm_start(posterior)
+            hidden = solver.hidden_variance(posterior)
+            posterior = replace(posterior, hidden_variance=hidden)
+            started = warm_start(posterior, hidden)
         else:
             # Loads that have become irrelevant get a little back, so that a new one can be found.
             floor = _LEAST_VARIANCE_SHARE * float(earlier.all_variances.max())
             variances = earlier.all_variances.clamp_min(floor)
-        scales = (1.0,) if self._registration is None else self._registration.scales
-        task = _Task(solver, posterior, variances, epoch, not rigid, ratio, scales)
+        task = _Task(solver, posterior, variances, epoch, not rigid, ratio)
         still = (
             earlier is not None
             and not rigid
@@ -124,36 +124,41 @@ class ElasticTracker:
             worker.stop(_STOP_TIMEOUT_S)
 
     def _improve(self, task: _Task) -> None:
+        registration = self._registration
+        if registration is None or task.epoch != self._epoch:
+            return
         with one_thread():
-            better = self._improved(task)
+            better = self._improved(task, registration)
             warm = warm_start(better, task.solver.hidden_variance(better))
         with self._lock:
             if task.epoch == self._epoch:
-                if self._registration is not None:
-                    self._registration.observe(better)
+                registration.observe(better)
                 self._settled = self._settled + 1 if better.ratio == self._ratio else 0
                 self._warm_start, self._rigid, self._ratio = warm, False, better.ratio
                 self._stepped_s = time.monotonic()
 
-    def _improved(self, task: _Task) -> Posterior:
+    def _improved(self, task: _Task, known: RegistrationFilter) -> Posterior:
         if not task.guarded:
             # The first step about a rigid motion: how exact the registration is must be found out, too.
             found: list[Posterior] = []
-            for scale in task.scales:
+            for scale in known.scales:
                 if found and self._closed:
                     break
-                found.append(explained(task.solver, task.solver.registration, scale))
+                found.append(explained(task.solver, known.supposed, scale))
             return likeliest(task.solver, found)
-        better = self._step(task, task.ratio)
+        better = self._step(task, task.ratio, known)
         direction = next(self._ratio_trials)
-        if direction and task.guarded and better.ratio + direction in task.solver.ratios:
-            other = self._step(task, better.ratio + direction)
+        if direction and better.ratio + direction in task.solver.ratios:
+            other = self._step(task, better.ratio + direction, known)
             if other.log_evidence > better.log_evidence + _LEAST_LOG_EVIDENCE_GAIN:
                 better = other
         return better
 
-    def _step(self, task: _Task, ratio: int | None) -> Posterior:
-        return task.solver.improve(task.posterior, task.variances, guarded=task.guarded, ratio=ratio)
+    def _step(self, task: _Task, ratio: int | None, known: RegistrationFilter) -> Posterior:
+        # What is known of the registration now: since the task was put more may have been learned.
+        return task.solver.improve(
+            task.posterior, task.variances, guarded=True, ratio=ratio, registration=known.supposed
+        )
 
     def _on_crash(self, error: BaseException) -> None:
         _log.error("the elastic posterior was not improved between frames: %s", error)

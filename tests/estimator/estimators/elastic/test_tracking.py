@@ -196,3 +196,28 @@ def test_a_closed_estimator_leaves_no_thread(stream):
     assert threading.active_count() == before + 1
     stream.close()
     until(lambda: threading.active_count() == before)
+
+
+def test_registration_found_out_is_kept_although_frames_come_while_the_thread_works(alone):
+    """What the thread learns of one frame holds for those that were put before it had learned it."""
+    estimator = ElasticEstimator(dataclasses.replace(KNOWN, tracking=True))
+    estimator.load_organ(ORGAN)
+    shift = np.array([0.006, -0.005, 0.004])
+
+    def off(size):
+        truth = observed(size)
+        return dataclasses.replace(truth, displacement=truth.displacement + shift)
+
+    try:
+        estimator.estimate(off(1.0))
+        for number in range(12):  # none waits for the thread
+            estimator.estimate(off(1.0 + 0.02 * number))
+        estimator._tracker._worker.idle()
+        found = estimator._tracker._registration.supposed.correction.translation
+        answer = estimator.estimate(off(1.24))
+    finally:
+        estimator.close()
+    assert np.linalg.norm(found + shift) < 0.5 * np.linalg.norm(shift)
+    hidden = SURFACE.vertices[:, 2] < 0.0
+    error = np.linalg.norm(answer.displacement - bent(SURFACE.vertices, 1.24), axis=1)[hidden].mean()
+    assert error < 0.5 * np.linalg.norm(shift)
