@@ -16,17 +16,13 @@ from softtissue_estimator.ros.frames import Frame, answer_frame, degradation_rea
 from softtissue_estimator.ros.inputs.registration import Registration
 
 FRAMES_BEFORE, FRAMES_AFTER = 20, 24
+FRAMES_SPOILT = 8
 MOST_SPOILT_M = 0.0015
 CONFIG = EstimatorConfig(device="cpu", tracking=True, minimum_visible_fraction=0.01, frame_budget_s=60.0)
 
 NO_GUARD = pytest.mark.xfail(
     strict=True,
     reason="the estimator has no guard yet against clouds that contradict what it knows of the organ",
-)
-
-SPOILT = pytest.mark.xfail(
-    strict=False,  # by how much differs with the mesh, which is another every time
-    reason="a wrong cloud still moves what is supposed of the registration, by about 3 mm",
 )
 
 
@@ -86,8 +82,12 @@ def test_wrong_cloud_is_not_answered_at_level_ok(scene, make):
     assert reasons
 
 
-@SPOILT
-@pytest.mark.parametrize("make", [torn_lobe, mirrored])
-def test_answers_after_a_wrong_cloud_are_as_without_it(scene, undisturbed, make):
-    _, after = played(scene, make(scene))
+def test_answers_after_a_mirrored_cloud_are_as_without_it(scene, undisturbed):
+    _, after = played(scene, mirrored(scene))
     assert np.linalg.norm(after - undisturbed, axis=2).max() < MOST_SPOILT_M
+
+
+def test_answers_are_soon_as_without_a_cloud_with_a_torn_lobe(scene, undisturbed):
+    """It is followed without the lobe; what is then supposed of the lobe differs for some frames from mesh to mesh."""
+    _, after = played(scene, torn_lobe(scene))
+    assert np.linalg.norm(after - undisturbed, axis=2)[FRAMES_SPOILT:].max() < MOST_SPOILT_M

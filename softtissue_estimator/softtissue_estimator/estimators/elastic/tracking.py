@@ -53,6 +53,9 @@ class ElasticTracker:
         self._lock = threading.Lock()
         self._warm_start: WarmStart | None = None
         self._rigid = False  # whether it is about a rigid motion
+        self._before_loss: WarmStart | None = (
+            None  # state from which the newest observation could not be followed
+        )
         self._ratio: int | None = None  # survives a loss of track: the organ stays the same
         self._epoch = 0
         self._settled = 0  # steps since the organ last moved
@@ -72,10 +75,17 @@ class ElasticTracker:
     def answer(self, solver: Solver) -> Posterior:
         """Explain the newest observation."""
         with self._lock:
+            before_loss, self._before_loss = self._before_loss, None
+        # One cloud that nothing before suggests may have been wrong: the next one says whether the organ did move so.
+        if before_loss is not None and solver.follow(before_loss) is not None:
+            self._return_to(before_loss)
+        with self._lock:
             earlier, rigid, epoch, ratio = self._warm_start, self._rigid, self._epoch, self._ratio
         posterior = None if earlier is None else solver.follow(earlier)
         started = None
         if posterior is None or earlier is None:
+            if not rigid:
+                self._before_loss = earlier
             posterior = solver.start(solver.registration, _START_VARIANCE_UPDATES)
             variances, rigid = posterior.amplitudes.variances, True
             # What comes before the thread has made a step follows this answer, which takes long.
@@ -107,10 +117,16 @@ class ElasticTracker:
                 self._worker.put(task)
         return posterior
 
+    def _return_to(self, state: WarmStart) -> None:
+        """Go on from an earlier state; what the thread makes of observations since is not taken."""
+        with self._lock:
+            self._warm_start, self._rigid = state, False
+            self._epoch += 1
+
     def forget(self) -> None:
         """Forget all observations."""
         with self._lock:
-            self._warm_start = self._ratio = self._registration = None
+            self._warm_start = self._before_loss = self._ratio = self._registration = None
             self._epoch += 1
 
     def close(self) -> None:
