@@ -14,7 +14,7 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 
 from integration.signal_pairs import try_pairs
 
-PAIRS = int(os.environ.get("SIGNAL_PAIRS", "2"))
+PAIRS = int(os.environ.get("SIGNAL_PAIRS", "4"))
 
 
 @pytest.mark.timeout(60 + 30 * PAIRS)
@@ -61,6 +61,23 @@ def test_program_that_cannot_stop_ends_at_last():
         began = time.monotonic()
         assert process.wait(5.0) == 0
         assert time.monotonic() - began < 2.0
+
+
+def test_program_whose_main_thread_is_stuck_in_a_library_ends_in_order():
+    body = """
+    import ctypes
+    stop = StopRequest(0.3)
+    stop.begin()
+    mutex = ctypes.create_string_buffer(64)
+    lock = ctypes.CDLL(None).pthread_mutex_lock
+    lock(mutex)
+    print("ready", flush=True)
+    lock(mutex)  # for ever; no signal ends it, and no handler can run
+    """
+    with subprocess.Popen(program(body), stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(15.0) == 0
 
 
 def test_program_whose_libraries_keep_pythons_lock_ends_and_says_where():

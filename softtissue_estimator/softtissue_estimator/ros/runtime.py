@@ -39,12 +39,19 @@ def take_short_turns() -> None:
 
 
 class StopEvent:
-    """What `threading.Event` is, but a signal handler may set it: no lock, so that none is held when a handler runs."""
+    """What `threading.Event` is, but signals may set it: no lock, so that none is held when a handler runs."""
 
     def __init__(self) -> None:
         self._set = False
         self._reader, self._writer = os.pipe()
         os.set_blocking(self._writer, False)
+
+    def wake_on_signals(self) -> None:
+        """Let every signal that Python handles set it at once; call in the main thread.
+
+        Handlers run in the main thread alone, and only when it is back from the library that it is in.
+        """
+        signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
 
     def is_set(self) -> bool:
         """Say whether it is set."""
@@ -61,7 +68,8 @@ class StopEvent:
         if not self._set:
             poll = select.poll()
             poll.register(self._reader, select.POLLIN)
-            poll.poll(None if timeout is None else max(0.0, 1e3 * timeout))
+            if poll.poll(None if timeout is None else max(0.0, 1e3 * timeout)):
+                self._set = True
         return self._set
 
 
@@ -84,6 +92,7 @@ class StopRequest:
         self._begun, self._within_s = False, within_s
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
+        self.event.wake_on_signals()
         if within_s is not None:
             threading.Thread(target=self._end_at_last, args=(within_s,), name="end", daemon=True).start()
 
@@ -100,7 +109,7 @@ class StopRequest:
             self.event.set()
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
-        if self._within_s is not None and not self.event.is_set():
+        if self._within_s is not None:
             # A library that never gives Python's lock back would keep the last resort below from its turn, too.
             faulthandler.dump_traceback_later(self._within_s + _LAST_MARGIN_S, exit=True)
         self.event.set()
