@@ -1,10 +1,12 @@
 """Real processes and real DDS for the tests: start the installed node, talk to it, wait on conditions."""
 
 import contextlib
+import itertools
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -22,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 from softtissue_msgs.msg import Correspondences, EstimatorStatus
 
-from ros_domain import environment_of
+from ros_domain import environment_of, reserved
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.ros.inputs.transport import use_profile
 
@@ -217,6 +219,41 @@ class Client(PlainClient):
             return next((a for a in self.answers if nanoseconds(a.header.stamp) == stamp), None)
 
         return self.wait(found, f"answer to stamp {stamp}", timeout)
+
+
+class AtRate:
+    """Calls something at a rate from a thread of its own, as long as the block lasts."""
+
+    def __init__(self, call, rate_hz: float):
+        self._call, self._period_s = call, 1.0 / rate_hz
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exception):
+        self._stopping.set()
+        self._thread.join()
+
+    def _run(self):
+        began = time.monotonic()
+        for number in itertools.count(1):
+            self._call()
+            if self._stopping.wait(max(0.0, began + number * self._period_s - time.monotonic())):
+                return
+
+
+@contextlib.contextmanager
+def running_node(organ: Path, folder: Path):
+    """A node on a small organ that is never late, and a client of it; at the end it must end in order."""
+    parameters = {"organ": organ, "minimum_visible_fraction": 0.01, "frame_budget_s": 60.0}
+    with reserved() as domain, NodeProcess(domain, folder, parameters) as node, Client(domain) as client:
+        client.wait_until_connected()
+        yield node, client
+        assert node.stop() == 0, node.text
+        assert "Traceback" not in node.text
 
 
 def nanoseconds(stamp: Time) -> int:

@@ -1,7 +1,5 @@
 """Calls without end neither stop the answers nor fill the memory; those that are too many are refused in a sentence."""
 
-import itertools
-import threading
 import time
 from collections import Counter
 
@@ -13,9 +11,8 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 
 from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints
 
-from integration.harness import Client, NodeProcess, Scene, nanoseconds, stamp_message, write_organ
+from integration.harness import AtRate, Scene, nanoseconds, running_node, stamp_message, write_organ
 from integration.soak import LONGEST_GAP_S, measure
-from ros_domain import reserved
 
 FLOOD_S, CALLS_PER_S = 3.0, 400.0
 STREAM_HZ = 20.0
@@ -29,45 +26,8 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def running(folder, tmp_path_factory):
-    parameters = {"organ": folder, "minimum_visible_fraction": 0.01, "frame_budget_s": 60.0}
-    with (
-        reserved() as domain,
-        NodeProcess(domain, tmp_path_factory.mktemp("node"), parameters) as node,
-        Client(domain) as client,
-    ):
-        client.wait_until_connected()
-        yield node, client
-        assert node.stop() == 0, node.text
-        assert "Traceback" not in node.text
-
-
-class Flood:
-    """Calls a service at a rate from a thread of its own, and waits for no answer."""
-
-    def __init__(self, client, kind, service, request):
-        self._client = client.node.create_client(kind, f"{client.name}/{service}")
-        client.wait(self._client.service_is_ready, f"service {service}")
-        self._request, self._stopping, self.futures = request, threading.Event(), []
-        self._thread = threading.Thread(target=self._run)
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *exception):
-        self._stopping.set()
-        self._thread.join()
-
-    def _run(self):
-        began = time.monotonic()
-        for number in itertools.count(1):
-            self.futures.append(self._client.call_async(self._request))
-            if self._stopping.wait(max(0.0, began + number / CALLS_PER_S - time.monotonic())):
-                return
-
-    @property
-    def responses(self):
-        return [future.result() for future in self.futures if future.done()]
+    with running_node(folder, tmp_path_factory.mktemp("node")) as node_and_client:
+        yield node_and_client
 
 
 def stream(client, scene, seconds):
@@ -124,7 +84,10 @@ def test_flood_of_calls(running, folder, name):
         50,
     )
     before = measure(node.process.pid, 0.0)
-    with Flood(client, kind, name.split()[0], make(folder)) as flood:
+    service = client.node.create_client(kind, f"{client.name}/{name.split()[0]}")
+    client.wait(service.service_is_ready, "service")
+    futures, request = [], make(folder)
+    with AtRate(lambda: futures.append(service.call_async(request)), CALLS_PER_S):
         sent = stream(client, scene, FLOOD_S)
     client.spin(0.5)
     during = measure(node.process.pid, FLOOD_S)
@@ -133,7 +96,7 @@ def test_flood_of_calls(running, folder, name):
     assert gaps.max() < LONGEST_GAP_S and len(received_s) > 0.3 * len(sent)
     assert during["memory_mb"] < before["memory_mb"] + MOST_GROWTH_MB
     assert during["threads"] <= before["threads"] + 3
-    responses = flood.responses
+    responses = [future.result() for future in futures if future.done()]
     results = Counter(response.result for response in responses)
     assert len(responses) > 100, results
     busy = [response.message for response in responses if response.result == kind.Response.BUSY]

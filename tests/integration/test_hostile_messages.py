@@ -20,13 +20,11 @@ from softtissue_msgs.srv import LoadOrgan, WarpPoints
 
 from integration.harness import (
     CAMERA_FROM_ORGAN,
-    Client,
-    NodeProcess,
     Scene,
     registration_message,
+    running_node,
     write_organ,
 )
-from ros_domain import reserved
 
 stamps = itertools.count(1_700_000_000_000_000_000, 100_000_000)
 OK, INVALID = 0, 2
@@ -45,16 +43,8 @@ def scene(folder):
 
 @pytest.fixture(scope="module")
 def running(folder, tmp_path_factory):
-    parameters = {"organ": folder, "minimum_visible_fraction": 0.01, "frame_budget_s": 60.0}
-    with (
-        reserved() as domain,
-        NodeProcess(domain, tmp_path_factory.mktemp("node"), parameters) as node,
-        Client(domain) as client,
-    ):
-        client.wait_until_connected()
-        yield node, client
-        assert node.stop() == 0, node.text
-        assert "Traceback" not in node.text
+    with running_node(folder, tmp_path_factory.mktemp("node")) as node_and_client:
+        yield node_and_client
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ SOFTTISSUE_SOAK_S sets for how long clouds come at 60 Hz (s); 120 is the length 
 
 import itertools
 import os
-import threading
 import time
 
 import numpy as np
@@ -18,6 +17,7 @@ from rcl_interfaces.srv import GetParameters
 from softtissue_msgs.srv import WarpPoints
 
 from integration.harness import (
+    AtRate,
     Client,
     NodeProcess,
     Scene,
@@ -36,31 +36,17 @@ def folder(tmp_path_factory):
     return write_organ(tmp_path_factory.mktemp("organ"))
 
 
-class Stream:
-    """Publishes a cloud at a rate from a thread of its own; the stamps are the time, nanoseconds."""
+class Stream(AtRate):
+    """Publishes a cloud at a rate; the stamps are the time, nanoseconds."""
 
     def __init__(self, client, cloud, rate_hz):
-        self.sent = []
-        self._client, self._cloud, self._period_s = client, cloud, 1.0 / rate_hz
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run)
+        super().__init__(self._publish, rate_hz)
+        self.sent, self._client, self._cloud = [], client, cloud
 
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *exception):
-        self._stopping.set()
-        self._thread.join()
-
-    def _run(self):
-        began = time.monotonic()
-        for number in itertools.count(1):
-            self.sent.append(time.time_ns())
-            self._cloud.header.stamp = stamp_message(self.sent[-1])
-            self._client.clouds.publish(self._cloud)
-            if self._stopping.wait(max(0.0, began + number * self._period_s - time.monotonic())):
-                return
+    def _publish(self):
+        self.sent.append(time.time_ns())
+        self._cloud.header.stamp = stamp_message(self.sent[-1])
+        self._client.clouds.publish(self._cloud)
 
 
 @pytest.mark.alone
