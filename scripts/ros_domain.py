@@ -98,7 +98,10 @@ def main(command: list[str]) -> None:
         os.environ[DOMAIN] = str(reservation.domain)
     if not os.environ.get(RANGE):
         os.environ[RANGE] = "LOCALHOST"
-    os.execvp(command[0], command)
+    try:
+        os.execvp(command[0], command)
+    except OSError as error:
+        sys.exit(f"error: expected a command, got {command[0]!r}: {error.strerror}")
 
 
 if __name__ == "__main__":

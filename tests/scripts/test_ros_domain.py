@@ -104,3 +104,13 @@ def test_tests_run_in_a_domain_of_their_own():
     assert domain in DOMAINS
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other, pytest.raises(OSError, match="in use"):
         other.bind(f"\0softtissue-ros-domain-{domain}")
+
+
+def test_command_that_is_not_there_is_named_in_a_sentence():
+    result = subprocess.run(
+        [sys.executable, SCRIPT, "no_such_command"], capture_output=True, text=True, check=False
+    )
+    assert (result.returncode, result.stderr) == (
+        1,
+        "error: expected a command, got 'no_such_command': No such file or directory\n",
+    )
