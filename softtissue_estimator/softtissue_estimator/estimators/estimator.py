@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.estimators.diagnosis import Diagnosis
 from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.organ.organ import Organ
 
@@ -33,11 +34,14 @@ class Estimate(ABC):
         Predicted standard deviation of each component of `displacement`, m; None if the estimator gives none.
     stages : dict
         Seconds that each stage took, in order.
+    diagnosis : Diagnosis
+        What it says about the observation.
     """
 
     displacement: FloatArray
     sigma: FloatArray | None
     stages: dict[str, float]
+    diagnosis: Diagnosis = Diagnosis()
 
     @abstractmethod
     def displacement_at(self, points: FloatArray) -> tuple[FloatArray, FloatArray | None]:
@@ -121,6 +125,9 @@ class Estimator(ABC):
 
     def forget(self) -> None:  # noqa: B027 (most estimators remember nothing)
         """Forget earlier observations, where an estimator answers each about the one before."""
+
+    def forget_registration(self) -> None:  # noqa: B027
+        """Forget what was found out about the registration: observations from now on come with another one."""
 
     def close(self) -> None:  # noqa: B027
         """End what runs in the background; nothing may be asked afterwards."""

@@ -1,6 +1,6 @@
 """An observation of the surface, and the checks of what arrives."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -45,19 +45,32 @@ class Observation:
         Standard deviation of each component of `displacement`.
     located : LocatedPoints, optional
         Where on the organ's surface the reference points are, if that is known already.
+    stamp_s : float, optional
+        When it was made, s, by the clock of its stream; None where nobody says.
+    registration_covariance : (6, 6) float64, optional
+        Of the error that the registration left in `displacement`, where somebody says it: translation (m) of
+        `Organ.centre`, then rotation (rad) about the axes of the organ's frame.
     """
 
     reference: FloatArray
     displacement: FloatArray
     sigma: FloatArray
     located: LocatedPoints | None = None
+    stamp_s: float | None = None
+    registration_covariance: FloatArray | None = None
 
     def part(self, kept: BoolArray) -> "Observation":
         """Return the points that are kept, (n,)."""
         located = self.located
         if located is not None:
             located = LocatedPoints(located.lookup, located.sample[kept])
-        return Observation(self.reference[kept], self.displacement[kept], self.sigma[kept], located)
+        return replace(
+            self,
+            reference=self.reference[kept],
+            displacement=self.displacement[kept],
+            sigma=self.sigma[kept],
+            located=located,
+        )
 
     def nearest_sample(self, lookup: SurfaceLookup) -> IntArray:
         """Sample of a surface nearest to each reference point, (n,); -1 where the surface is out of reach."""

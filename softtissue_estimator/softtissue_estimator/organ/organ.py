@@ -84,6 +84,11 @@ class Organ:
             )
 
     @cached_property
+    def centre(self) -> FloatArray:
+        """Mean of the surface vertices, (3,) m: about which errors of a registration are counted."""
+        return np.asarray(self.surface.vertices.mean(axis=0), dtype=np.float64)
+
+    @cached_property
     def structure_points(self) -> FloatArray:
         """Vertices of all structures, in order, (k, 3) m."""
         return np.concatenate([np.empty((0, 3)), *(s.mesh.vertices for s in self.structures)])

@@ -6,7 +6,9 @@ from threadpoolctl import ThreadpoolController
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.estimators.diagnosis import Diagnosis, RegistrationEstimate
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
+from softtissue_estimator.estimators.elastic.registration_error import told_error
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.estimators.elastic.tracking import ElasticTracker
 from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progress, silent
@@ -30,6 +32,7 @@ class ElasticEstimate(Estimate):
         Observed displacement of each of these minus the answer's, m.
     poisson_ratio : float
         Of the organ, as far as the observation tells.
+    diagnosis : Diagnosis
     """
 
     def __init__(
@@ -40,9 +43,11 @@ class ElasticEstimate(Estimate):
         poisson_ratio: float,
         nodal_displacement: FloatArray,
         nodal_sigma: FloatArray,
+        diagnosis: Diagnosis,
         stages: dict[str, float],
     ) -> None:
         self.patches, self.misfit, self.poisson_ratio = patches, misfit, poisson_ratio
+        self.diagnosis = diagnosis
         self._mesh = model.mesh
         self._nodal_displacement = nodal_displacement
         self._nodal_variance = nodal_sigma**2
@@ -108,6 +113,11 @@ class ElasticEstimator(Estimator):
         if self._tracker is not None:
             self._tracker.forget()
 
+    def forget_registration(self) -> None:
+        """See `Estimator.forget_registration`."""
+        if self._tracker is not None:
+            self._tracker.forget_registration()
+
     def close(self) -> None:
         """See `Estimator.close`."""
         if self._tracker is not None:
@@ -144,6 +154,8 @@ class ElasticEstimator(Estimator):
         motion = fit_patches(patches, least)
         watch.lap("rigid")
         registration = model.registration
+        if observation.registration_covariance is not None:
+            registration = told_error(model.organ.centre, observation.registration_covariance)
         if self._tracker is not None:
             registration = self._tracker.registration(registration)
         solver = Solver(model, patches, motion, registration, self._config.prior_sigma_m, least)
@@ -153,6 +165,9 @@ class ElasticEstimator(Estimator):
         watch.lap("uncertainty")
         ratio = model.ratios.ratios[posterior.ratio]
         misfit, mean = solver.residual(posterior), posterior.mean.cpu().numpy()
-        estimate = ElasticEstimate(model, patches, misfit, ratio, mean, sigma, watch.stages)
+        known = posterior.registration_after
+        found = RegistrationEstimate(known.centre, known.correction, known.root @ known.root.T)
+        diagnosis = Diagnosis(found, 1.0 - float(kept.mean()))
+        estimate = ElasticEstimate(model, patches, misfit, ratio, mean, sigma, diagnosis, watch.stages)
         watch.lap("warp")
         return estimate

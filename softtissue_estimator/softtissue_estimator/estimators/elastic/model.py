@@ -108,7 +108,6 @@ def build_model(
     resting = body.at_rest(config.poisson_ratio)
     ratios = ratio_prior(config.poisson_ratio, config.poisson_ratio_sigma)
     query = mesh.interpolation_in(organ.query_points, stored["query_tet"])
-    centre = mesh.nodes.mean(axis=0)
     return ElasticModel(
         organ,
         organ.surface_lookup,
@@ -116,7 +115,7 @@ def build_model(
         body,
         resting,
         ratios,
-        expected_error(centre, config.registration_sigma_m, config.registration_sigma_rad),
+        expected_error(organ.centre, config.registration_sigma_m, config.registration_sigma_rad),
         stored["sample_tet"],
         query,
         device,

@@ -49,6 +49,18 @@ class Posterior:
     hidden_variance: Tensor | None = None
 
     @property
+    def registration_after(self) -> RegistrationError:
+        """What is known of the registration afterwards."""
+        return self.registration.conditioned(self.amplitudes.nuisance.cpu().numpy(), self.nuisance_covariance)
+
+    @property
+    def nuisance_covariance(self) -> FloatArray:
+        """Of the nuisance parameters, (k, k)."""
+        begin = 3 * len(self.amplitudes.variances)
+        inverse = np.linalg.inv(self.amplitudes.factor[begin:, begin:].cpu().numpy())
+        return np.asarray(inverse.T @ inverse)
+
+    @property
     def registration_step(self) -> FloatArray:
         """Mean of the registration's error beside the correction that was supposed, (6,) m and rad."""
         scaled = self.amplitudes.nuisance.cpu().numpy()

@@ -10,7 +10,7 @@ The correction moves with the estimate, so that d stays small enough to be linea
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -23,6 +23,9 @@ from softtissue_estimator.organ.mesh import FloatArray
 REGISTRATION_SCALES = (0.01, 0.1, 1.0)
 """Sizes that the error may have, over the largest that is expected; nobody says how exact a registration was. Which of
 them made the observation, its evidence tells."""
+_LEAST_VARIANCES = (1e-10,) * 3 + (
+    1e-10,
+) * 3  # m^2 and rad^2: a covariance that somebody says may be singular
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +42,15 @@ class RegistrationError:
         Of what the correction leaves: translation in m, rotation vector in rad.
     root : (6, 6)
         Lower Cholesky factor of its covariance.
+    scales : tuple of float
+        Sizes that the error may have, over this distribution's.
     """
 
     centre: FloatArray
     correction: RigidMotion
     mean: FloatArray
     root: FloatArray
+    scales: tuple[float, ...] = REGISTRATION_SCALES
 
     def columns(self, positions: Tensor) -> Tensor:
         """Displacement (n, 3, 6) m of positions (n, 3) m by one standard deviation of each independent error."""
@@ -62,11 +68,11 @@ class RegistrationError:
         rotation = Rotation.from_rotvec(-step[3:]).as_matrix()
         whole = rotation @ self.correction.rotation
         translation = rotation @ (self.correction.translation - step[:3] - self.centre) + self.centre
-        return RegistrationError(self.centre, RigidMotion(whole, translation), self.mean - step, self.root)
+        return replace(self, correction=RigidMotion(whole, translation), mean=self.mean - step)
 
     def scaled(self, factor: float) -> RegistrationError:
         """Return the same distribution with standard deviations multiplied by a factor."""
-        return RegistrationError(self.centre, self.correction, self.mean, factor * self.root)
+        return replace(self, root=factor * self.root)
 
     def conditioned(self, scaled: FloatArray, covariance: FloatArray) -> RegistrationError:
         """Return the distribution after an observation.
@@ -80,7 +86,13 @@ class RegistrationError:
         """
         mean = self.mean + self.root @ scaled
         root = np.asarray(np.linalg.cholesky(self.root @ covariance @ self.root.T), dtype=np.float64)
-        return RegistrationError(self.centre, self.correction, mean, root).moved_by(mean)
+        return replace(self, mean=mean, root=root).moved_by(mean)
+
+
+def told_error(centre: FloatArray, covariance: FloatArray) -> RegistrationError:
+    """Return what is supposed of a registration whose covariance (6, 6), m and rad about a centre (3,) m, is known."""
+    root = np.asarray(np.linalg.cholesky(covariance + np.diag(_LEAST_VARIANCES)), dtype=np.float64)
+    return RegistrationError(centre, RigidMotion(np.eye(3), np.zeros(3)), np.zeros(6), root, scales=(1.0,))
 
 
 def jacobian(positions: Tensor, centre: FloatArray) -> Tensor:

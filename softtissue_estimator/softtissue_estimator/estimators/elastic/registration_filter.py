@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from softtissue_estimator.estimators.elastic.posterior import Posterior
-from softtissue_estimator.estimators.elastic.registration_error import REGISTRATION_SCALES, RegistrationError
+from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.organ.mesh import FloatArray
 
 _NEW_SHARE = 0.05  # of what a frame tells that follows another one within a tenth of a second
@@ -35,7 +35,7 @@ class RegistrationFilter:
 
     def __init__(self, expected: RegistrationError) -> None:
         # Most are exact; the first frame that is explained with all loads tells whether this one is.
-        self.supposed = expected.scaled(REGISTRATION_SCALES[0])
+        self.supposed = expected.scaled(expected.scales[0])
         self._observed = False
 
     @property
@@ -43,7 +43,7 @@ class RegistrationFilter:
         """Sizes of the error over what is supposed that the next frame has to choose from: one after the first."""
         if self._observed:
             return (1.0,)
-        return tuple(scale / REGISTRATION_SCALES[0] for scale in REGISTRATION_SCALES)
+        return tuple(scale / self.supposed.scales[0] for scale in self.supposed.scales)
 
     def observe(self, posterior: Posterior) -> None:
         """Take a share of what an explained frame tells, and let the error wander until the next.
@@ -53,10 +53,7 @@ class RegistrationFilter:
         posterior : Posterior
             With all loads: those that seem irrelevant hold part of the doubt.
         """
-        begin = 3 * len(posterior.amplitudes.variances)
-        factor = posterior.amplitudes.factor[begin:, begin:].cpu().numpy()
-        inverse = np.linalg.inv(factor)
-        precision = np.linalg.inv(inverse.T @ inverse)
+        precision = np.linalg.inv(posterior.nuisance_covariance)
         share = _NEW_SHARE if self._observed else 1.0
         self._observed = True
         told = share * (precision - np.eye(6))

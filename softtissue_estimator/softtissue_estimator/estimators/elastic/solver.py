@@ -21,7 +21,7 @@ from softtissue_estimator.estimators.elastic.linear_gaussian import (
 from softtissue_estimator.estimators.elastic.model import ElasticModel
 from softtissue_estimator.estimators.elastic.plausibility import plausible_fit
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
-from softtissue_estimator.estimators.elastic.registration_error import REGISTRATION_SCALES, RegistrationError
+from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest, settled
 from softtissue_estimator.observation.patch_average import ObservedPatches, student_weights
 from softtissue_estimator.observation.rigid import RigidMotion
@@ -96,7 +96,7 @@ class Solver:
 
     def solve(self) -> Posterior:
         """Explain the observation without knowing anything from before."""
-        found = [explained(self, self._registration, scale) for scale in REGISTRATION_SCALES]
+        found = [explained(self, self._registration, scale) for scale in self._registration.scales]
         posterior = settled(self, likeliest(self, found))
         for _ in range(MOST_RATIO_CHANGES):
             before, posterior = posterior.ratio, self._improve_by_choice(posterior)

@@ -129,6 +129,11 @@ class ElasticTracker:
             self._warm_start = self._before_loss = self._ratio = self._registration = None
             self._epoch += 1
 
+    def forget_registration(self) -> None:
+        """Forget what is known of the registration, not of the organ."""
+        with self._lock:
+            self._registration = None
+
     def close(self) -> None:
         """Forget all observations and end the thread."""
         self.forget()

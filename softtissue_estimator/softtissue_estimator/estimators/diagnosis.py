@@ -1,0 +1,72 @@
+"""What an estimator finds out about its own input while it answers."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softtissue_estimator.observation.rigid import RigidMotion
+from softtissue_estimator.organ.mesh import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class RegistrationEstimate:
+    """How far the registration is off, as far as an answer tells. Organ's frame.
+
+    Parameters
+    ----------
+    centre : (3,) m
+        `Organ.centre`, about which rotations are counted.
+    correction : RigidMotion
+        From where the registration puts points to where they are.
+    covariance : (6, 6)
+        Of what the correction leaves: translation of the centre (m), then rotation about the frame's axes (rad).
+    """
+
+    centre: FloatArray
+    correction: RigidMotion
+    covariance: FloatArray
+
+    @property
+    def translation_m(self) -> float:
+        """Distance by which the centre is misplaced."""
+        return float(np.linalg.norm(self.correction.apply(self.centre[None])[0] - self.centre))
+
+    @property
+    def rotation_rad(self) -> float:
+        """Angle by which the organ is turned."""
+        return float(Rotation.from_matrix(self.correction.rotation).magnitude())
+
+    @property
+    def translation_sigma_m(self) -> float:
+        """Root mean square of the standard deviations of the translation's components."""
+        return float(np.sqrt(np.trace(self.covariance[:3, :3]) / 3.0))
+
+    @property
+    def rotation_sigma_rad(self) -> float:
+        """Root mean square of the standard deviations of the rotation's components."""
+        return float(np.sqrt(np.trace(self.covariance[3:, 3:]) / 3.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What an answer says about the observation that it explains.
+
+    Parameters
+    ----------
+    registration : RegistrationEstimate or None
+        None where the estimator takes the registration for exact.
+    outlier_share : float
+        Of the points: left out because they cannot belong to the organ's surface, 0 to 1.
+    innovation_rms : float
+        Root mean square of what the answers before did not predict, over its standard deviation: about 1 where all is
+        as supposed. NaN where nothing came before.
+    doubts : tuple of str
+        Why the answer must not be relied on, a sentence each.
+    """
+
+    registration: RegistrationEstimate | None = None
+    outlier_share: float = 0.0
+    innovation_rms: float = math.nan
+    doubts: tuple[str, ...] = ()
