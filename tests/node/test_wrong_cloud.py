@@ -49,8 +49,6 @@ def played(scene, wrong):
     estimator.load_organ(scene.organ)
     after, reasons = [], None
     for number in range(FRAMES_BEFORE + 1 + FRAMES_AFTER):
-        if number:
-            estimator._tracker._worker.idle()  # what it contributes must not depend on the machine's load
         points = wrong if number == FRAMES_BEFORE else scene.points
         frame = Frame(scene.cloud(1 + number, points=points), None, time.monotonic(), 0)
         try:

@@ -1,14 +1,10 @@
 """A thread that always works on the newest item and never on a queue. Knows no ROS."""
 
-import os
-import sys
 import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
 ItemT = TypeVar("ItemT")
-
-_BACKGROUND_NICENESS = 10
 
 
 class LatestWorker(Generic[ItemT]):
@@ -21,8 +17,6 @@ class LatestWorker(Generic[ItemT]):
         Takes what `work` raised; the thread goes on with the next item.
     name : str
         Of the thread.
-    background : bool
-        Whether the other threads of the process come first.
     """
 
     def __init__(
@@ -30,13 +24,11 @@ class LatestWorker(Generic[ItemT]):
         work: Callable[[ItemT], None],
         on_crash: Callable[[BaseException], object],
         name: str = "estimate",
-        background: bool = False,
     ) -> None:
         self._work, self._on_crash = work, on_crash
         self._condition = threading.Condition()
         self._item: ItemT | None = None
-        self._stopping = self._working = False
-        self._background = background
+        self._stopping = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
@@ -53,11 +45,6 @@ class LatestWorker(Generic[ItemT]):
             item, self._item = self._item, None
         return item
 
-    def idle(self) -> None:
-        """Wait until nothing handed over is left to be worked on."""
-        with self._condition:
-            self._condition.wait_for(lambda: (self._item is None and not self._working) or self._stopping)
-
     def stop(self, timeout_s: float) -> bool:
         """Stop after the item at work; return whether the thread ended within `timeout_s`."""
         with self._condition:
@@ -68,21 +55,14 @@ class LatestWorker(Generic[ItemT]):
         return not self._thread.is_alive()
 
     def _run(self) -> None:
-        if self._background and sys.platform == "linux":
-            # There, and only there, a thread has a priority of its own.
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _BACKGROUND_NICENESS)
         while True:
             with self._condition:
                 self._condition.wait_for(lambda: self._item is not None or self._stopping)
                 if self._stopping:
                     return
                 item, self._item = self._item, None
-                self._working = item is not None
             if item is not None:
                 try:
                     self._work(item)
                 except Exception as error:  # the thread's owner reports it
                     self._on_crash(error)
-                with self._condition:
-                    self._working = False
-                    self._condition.notify_all()

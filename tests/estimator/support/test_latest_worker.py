@@ -1,11 +1,7 @@
 """A thread that works on the newest item."""
 
-import os
-import sys
 import threading
 import time
-
-import pytest
 
 from softtissue_estimator.support.latest_worker import LatestWorker
 
@@ -30,26 +26,6 @@ def test_worker_takes_the_newest_and_hands_back_the_replaced():
         time.sleep(0.001)
     assert worker.stop(10.0)
     assert (done, crashes) == ([1, 3], [])
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere threads have no priority of their own")
-def test_worker_in_the_background_leaves_the_processor_to_others():
-    def priority(background):
-        found, done = [], threading.Event()
-
-        def work(_item):
-            found.append(os.getpriority(os.PRIO_PROCESS, threading.get_native_id()))
-            done.set()
-
-        worker = LatestWorker(work, found.append, background=background)
-        worker.put(1)
-        assert done.wait(5.0)
-        assert worker.stop(5.0)
-        return found[0]
-
-    here = os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
-    assert priority(False) == here < priority(True)
-    assert os.getpriority(os.PRIO_PROCESS, threading.get_native_id()) == here
 
 
 def test_worker_reports_a_crash_and_goes_on():

@@ -157,6 +157,7 @@ class ElasticEstimator(Estimator):
         if observation.registration_covariance is not None:
             registration = told_error(model.organ.centre, observation.registration_covariance)
         if self._tracker is not None:
+            self._tracker.catch_up(observation.stamp_s)
             registration = self._tracker.registration(registration)
         solver = Solver(model, patches, motion, registration, self._config.prior_sigma_m, least)
         posterior = solver.solve() if self._tracker is None else self._tracker.answer(solver)

@@ -1,10 +1,14 @@
-"""Answer a stream of observations: each about the state of the one before, which a thread improves meanwhile."""
+"""Answer a stream of observations: each about the state of the one before, which a thread improves meanwhile.
 
-import atexit
-import itertools
+What the thread makes of an observation is taken over by the first one that is made `STEP_S` later, by the stamps of
+both, and waited for where it is not ready: the same stream gives the same answers however fast the machine is.
+"""
+
 import logging
+import os
+import sys
 import threading
-import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import torch
@@ -15,9 +19,14 @@ from softtissue_estimator.estimators.elastic.registration_filter import Registra
 from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.inference.device import one_thread
-from softtissue_estimator.support.latest_worker import LatestWorker
 
 _log = logging.getLogger(__name__)
+STEP_S = 0.3
+"""Between an observation and the one that takes over the step that the thread made about it: half as much again as that
+takes on two idle cores."""
+_FIRST_STEPS = 4  # of these in the first step about a rigid motion
+UNSTAMPED_S = 0.1  # between two observations that do not say when they were made
+_JITTER_S = 0.01  # of stamps
 _LEAST_VARIANCE_SHARE = 1e-3  # of the largest: with less no load starts a step of the thread
 _STEPS_PER_RATIO_TRIAL = 4  # of the thread, which tries another Poisson's ratio in one of them
 _LEAST_LOG_EVIDENCE_GAIN = 1.0  # from which on another ratio is taken: a smaller one may be noise
@@ -25,19 +34,69 @@ _STILL_DISTANCE_M = 0.001  # an organ that has moved by less since it was made l
 _SETTLED_STEPS = 12  # of the thread about a still organ; every ratio nearby is tried in as many
 _STILL_REFRESH_S = 1.0  # after which it makes another: the observed part of a still organ may change
 _START_VARIANCE_UPDATES = 2  # of all loads; the thread makes more
-_STOP_TIMEOUT_S = 3.0  # several times what a step takes
+_BACKGROUND_NICENESS = 10  # of the thread: frames come first
 
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """An answered observation, to be explained better."""
+    """An answered observation, to be explained better.
+
+    Attributes
+    ----------
+    solver : Solver
+    posterior : Posterior
+        From which to go on.
+    variances : (p,) float64
+        Of all loads.
+    rigid : bool
+        Whether that is about a rigid motion.
+    ratio : int or None
+        Poisson's ratio to suppose; that of `posterior` where it is not known.
+    ratio_step : int
+        From this ratio to another one that is to be tried, too; 0 for none.
+    registration : RegistrationFilter
+    stamp_s : float
+    """
 
     solver: Solver
     posterior: Posterior
     variances: torch.Tensor
-    epoch: int
-    guarded: bool
+    rigid: bool
     ratio: int | None
+    ratio_step: int
+    registration: RegistrationFilter
+    stamp_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Memory:
+    """What is known of an organ between two frames.
+
+    Attributes
+    ----------
+    state : WarmStart or None
+        About which the next observation is explained.
+    rigid : bool
+        Whether that is about a rigid motion, for want of a step of the thread.
+    before_loss : WarmStart or None
+        State from which the newest observation could not be followed.
+    ratio : int or None
+        Poisson's ratio, which survives a loss of track: the organ stays the same.
+    settled : int
+        Steps since the organ last moved.
+    stepped_s : float
+        Stamp of the newest observation that a step was made about.
+    steps : int
+        That the thread was given since it was about a rigid motion.
+    """
+
+    state: WarmStart | None = None
+    rigid: bool = False
+    before_loss: WarmStart | None = None
+    ratio: int | None = None
+    settled: int = 0
+    stepped_s: float = 0.0
+    steps: int = 0
 
 
 class ElasticTracker:
@@ -47,143 +106,193 @@ class ElasticTracker:
     Between answers a thread makes the organ linear about the newest one, with all loads, and so catches up with a
     moving organ in a fraction of a second. Of an organ that stands still the thread makes some further steps where
     `Solver.solve` ends, and then leaves the processor to others.
+
+    `answer` is called from one thread at a time, `forget` and its like from any.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._warm_start: WarmStart | None = None
-        self._rigid = False  # whether it is about a rigid motion
-        self._before_loss: WarmStart | None = (
-            None  # state from which the newest observation could not be followed
-        )
-        self._ratio: int | None = None  # survives a loss of track: the organ stays the same
-        self._epoch = 0
-        self._settled = 0  # steps since the organ last moved
-        self._stepped_s = 0.0
-        none = [0] * (_STEPS_PER_RATIO_TRIAL - 1)
-        self._ratio_trials = itertools.cycle([*none, 1, *none, -1])
-        self._closed = False
-        self._worker: LatestWorker[_Task] | None = None
+        self._memory = _Memory()
         self._registration: RegistrationFilter | None = None
+        self._pending: tuple[_Task, Future[tuple[Posterior, WarmStart]]] | None = None
+        self._stamp_s = 0.0
+        self._closed = False
+        # Threads of an executor are waited for when the interpreter ends: torch aborts where one is cut off.
+        self._executor = ThreadPoolExecutor(1, "tracker", initializer=_step_back)
 
     def registration(self, expected: RegistrationError) -> RegistrationError:
         """Return what is known of the registration before the next frame."""
-        if self._registration is None:
-            self._registration = RegistrationFilter(expected)
-        return self._registration.supposed
+        with self._lock:
+            if self._registration is None:
+                self._registration = RegistrationFilter(expected)
+            return self._registration.supposed
+
+    def catch_up(self, stamp_s: float | None) -> None:
+        """Take over what the thread has made, as of an observation that is to be answered next.
+
+        Parameters
+        ----------
+        stamp_s : float or None
+            When it was made; None for a tenth of a second after the one before.
+        """
+        with self._lock:
+            self._stamp_s = self._stamp_s + UNSTAMPED_S if stamp_s is None else stamp_s
+            pending = self._pending
+            if pending is None or not _is_due(pending[0], self._stamp_s):
+                return
+        task, future = pending
+        try:
+            better, state = future.result()
+        except Exception as error:
+            _log.error("the elastic posterior was not improved between frames: %s", error)
+            self.forget()
+            return
+        with self._lock:
+            if self._pending is not pending:
+                return  # forgotten meanwhile
+            self._pending = None
+            if self._registration is task.registration:
+                task.registration.observe(better)
+            settled = self._memory.settled + 1 if better.ratio == self._memory.ratio else 0
+            self._memory = replace(
+                self._memory,
+                state=state,
+                rigid=False,
+                ratio=better.ratio,
+                settled=settled,
+                stepped_s=task.stamp_s,
+            )
 
     def answer(self, solver: Solver) -> Posterior:
-        """Explain the newest observation."""
+        """Explain the observation that `catch_up` was called for."""
         with self._lock:
-            before_loss, self._before_loss = self._before_loss, None
+            memory, registration = self._memory, self._registration
         # One cloud that nothing before suggests may have been wrong: the next one says whether the organ did move so.
-        if before_loss is not None and solver.follow(before_loss) is not None:
-            self._return_to(before_loss)
-        with self._lock:
-            earlier, rigid, epoch, ratio = self._warm_start, self._rigid, self._epoch, self._ratio
+        if memory.before_loss is not None and solver.follow(memory.before_loss) is not None:
+            memory = self._return_to(memory)
+        memory = replace(memory, before_loss=None)
+        earlier = memory.state
         posterior = None if earlier is None else solver.follow(earlier)
-        started = None
         if posterior is None or earlier is None:
-            if not rigid:
-                self._before_loss = earlier
-            posterior = solver.start(solver.registration, _START_VARIANCE_UPDATES)
-            variances, rigid = posterior.amplitudes.variances, True
-            # What comes before the thread has made a step follows this answer, which takes long.
-            hidden = solver.hidden_variance(posterior)
-            posterior = replace(posterior, hidden_variance=hidden)
-            started = warm_start(posterior, hidden)
+            before_loss = memory.before_loss if memory.rigid else earlier
+            posterior, state = self._start(solver)
+            variances = posterior.amplitudes.variances
+            memory = replace(memory, state=state, rigid=True, before_loss=before_loss)
+            still = False
         else:
             # Loads that have become irrelevant get a little back, so that a new one can be found.
             floor = _LEAST_VARIANCE_SHARE * float(earlier.all_variances.max())
             variances = earlier.all_variances.clamp_min(floor)
-        task = _Task(solver, posterior, variances, epoch, not rigid, ratio)
-        still = (
-            earlier is not None
-            and not rigid
-            and _distance(posterior.mean, earlier.tangent.state) < _STILL_DISTANCE_M
-        )
-        with self._lock:
-            if not still:
-                self._settled = 0
-            elif self._settled >= _SETTLED_STEPS and time.monotonic() - self._stepped_s < _STILL_REFRESH_S:
-                return posterior
-            if started is not None and epoch == self._epoch:
-                self._warm_start, self._rigid = started, True
-            if self._worker is None and not self._closed:
-                self._worker = LatestWorker(self._improve, self._on_crash, "tracker", background=True)
-                # An interpreter that ends while torch works in a thread aborts.
-                atexit.register(self.close)
-            if self._worker is not None:
-                self._worker.put(task)
+            still = not memory.rigid and _distance(posterior.mean, earlier.tangent.state) < _STILL_DISTANCE_M
+        if not still:
+            memory = replace(memory, settled=0)
+        self._keep(memory, registration, solver, posterior, variances, still)
         return posterior
 
-    def _return_to(self, state: WarmStart) -> None:
-        """Go on from an earlier state; what the thread makes of observations since is not taken."""
+    def _keep(
+        self,
+        memory: _Memory,
+        registration: RegistrationFilter | None,
+        solver: Solver,
+        posterior: Posterior,
+        variances: torch.Tensor,
+        still: bool,
+    ) -> None:
+        """Remember, and give the thread something to do where it has nothing and the organ moves."""
         with self._lock:
-            self._warm_start, self._rigid = state, False
-            self._epoch += 1
+            if registration is None or self._registration is not registration:
+                return  # forgotten meanwhile
+            self._memory = memory
+            rests = memory.settled >= _SETTLED_STEPS and self._stamp_s - memory.stepped_s < _STILL_REFRESH_S
+            if self._closed or self._pending is not None or (still and rests):
+                return
+            self._memory = replace(memory, steps=0 if memory.rigid else memory.steps + 1)
+            step = _ratio_step(self._memory.steps)
+            task = _Task(
+                solver, posterior, variances, memory.rigid, memory.ratio, step, registration, self._stamp_s
+            )
+            self._pending = task, self._executor.submit(self._improve, task)
+
+    def _start(self, solver: Solver) -> tuple[Posterior, WarmStart]:
+        """Explain an observation about its rigid motion; what comes next follows this answer, which takes long."""
+        posterior = solver.start(solver.registration, _START_VARIANCE_UPDATES)
+        hidden = solver.hidden_variance(posterior)
+        posterior = replace(posterior, hidden_variance=hidden)
+        return posterior, warm_start(posterior, hidden)
+
+    def _return_to(self, memory: _Memory) -> _Memory:
+        """Go on from before a loss; what the thread makes of observations since is not taken."""
+        with self._lock:
+            self._pending = None
+        return replace(memory, state=memory.before_loss, rigid=False)
 
     def forget(self) -> None:
         """Forget all observations."""
         with self._lock:
-            self._warm_start = self._before_loss = self._ratio = self._registration = None
-            self._epoch += 1
+            self._memory, self._registration, self._pending = _Memory(), None, None
 
     def forget_registration(self) -> None:
         """Forget what is known of the registration, not of the organ."""
         with self._lock:
-            self._registration = None
+            self._registration, self._pending = None, None
 
     def close(self) -> None:
         """Forget all observations and end the thread."""
         self.forget()
         with self._lock:
             self._closed = True
-            worker, self._worker = self._worker, None
-        if worker is not None:
-            atexit.unregister(self.close)
-            worker.stop(_STOP_TIMEOUT_S)
+        self._executor.shutdown(wait=False, cancel_futures=True)
 
-    def _improve(self, task: _Task) -> None:
-        registration = self._registration
-        if registration is None or task.epoch != self._epoch:
-            return
+    def _improve(self, task: _Task) -> tuple[Posterior, WarmStart]:
         with one_thread():
-            better = self._improved(task, registration)
-            warm = warm_start(better, task.solver.hidden_variance(better))
-        with self._lock:
-            if task.epoch == self._epoch:
-                registration.observe(better)
-                self._settled = self._settled + 1 if better.ratio == self._ratio else 0
-                self._warm_start, self._rigid, self._ratio = warm, False, better.ratio
-                self._stepped_s = time.monotonic()
+            better = self._improved(task)
+            return better, warm_start(better, task.solver.hidden_variance(better))
 
-    def _improved(self, task: _Task, known: RegistrationFilter) -> Posterior:
-        if not task.guarded:
+    def _improved(self, task: _Task) -> Posterior:
+        known, solver = task.registration, task.solver
+        if task.rigid:
             # The first step about a rigid motion: how exact the registration is must be found out, too.
             found: list[Posterior] = []
             for scale in known.scales:
                 if found and self._closed:
                     break
-                found.append(explained(task.solver, known.supposed, scale))
-            return likeliest(task.solver, found)
-        better = self._step(task, task.ratio, known)
-        direction = next(self._ratio_trials)
-        if direction and better.ratio + direction in task.solver.ratios:
-            other = self._step(task, better.ratio + direction, known)
+                found.append(explained(solver, known.supposed, scale))
+            return likeliest(solver, found)
+        better = self._step(task, task.ratio)
+        if task.ratio_step and better.ratio + task.ratio_step in solver.ratios:
+            other = self._step(task, better.ratio + task.ratio_step)
             if other.log_evidence > better.log_evidence + _LEAST_LOG_EVIDENCE_GAIN:
                 better = other
         return better
 
-    def _step(self, task: _Task, ratio: int | None, known: RegistrationFilter) -> Posterior:
-        # What is known of the registration now: since the task was put more may have been learned.
+    def _step(self, task: _Task, ratio: int | None) -> Posterior:
         return task.solver.improve(
-            task.posterior, task.variances, guarded=True, ratio=ratio, registration=known.supposed
+            task.posterior,
+            task.variances,
+            guarded=True,
+            ratio=ratio,
+            registration=task.registration.supposed,
         )
 
-    def _on_crash(self, error: BaseException) -> None:
-        _log.error("the elastic posterior was not improved between frames: %s", error)
-        self.forget()
+
+def _ratio_step(number: int) -> int:
+    """Return towards which other Poisson's ratio a step of the thread looks, 1 or -1; most look at none, 0."""
+    trial, remainder = divmod(number, _STEPS_PER_RATIO_TRIAL)
+    return 0 if remainder or not trial else (1, -1)[(trial - 1) % 2]
+
+
+def _is_due(task: _Task, stamp_s: float) -> bool:
+    """Tell whether an observation made at a time takes over what the thread makes of an earlier one."""
+    steps = _FIRST_STEPS if task.rigid else 1 + abs(task.ratio_step)
+    passed_s = stamp_s - task.stamp_s
+    return passed_s < 0.0 or passed_s > steps * STEP_S - _JITTER_S
+
+
+def _step_back() -> None:
+    """Let other threads of the process come first."""
+    if sys.platform == "linux":
+        # There, and only there, a thread has a priority of its own.
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _BACKGROUND_NICENESS)
 
 
 def _distance(first: torch.Tensor, second: torch.Tensor) -> float:
