@@ -27,6 +27,7 @@ TOPICS = {
     "surface_points": "tracked points of the surface",
     "correspondences": "where they were on the preoperative surface",
     "registration": "rigid pose of the organ",
+    "registration_with_covariance": "the same with its covariance",
 }
 
 

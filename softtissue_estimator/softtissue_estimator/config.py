@@ -83,6 +83,14 @@ class EstimatorConfig:
     maximum_rejected_fraction: float = _setting(
         0.5, "Above this share of rejected correspondences, the status is DEGRADED.", limits=(0.0, 1.0)
     )
+    maximum_sigma_m: float = _setting(
+        0.005,
+        "Where the standard deviation of any vertex of a structure exceeds this, the status is DEGRADED and names the "
+        "structure. Twice the default is the margin of 10 mm that surgeons commonly leave around a tumour: beyond it a "
+        "structure may lie on the other side of the margin in more than one case of twenty.",
+        unit="m",
+        limits=(0.0001, 1.0),
+    )
     frame_budget_s: float = _setting(
         0.1, "A frame that takes longer than this makes the status DEGRADED.", unit="s", limits=(0.001, 60.0)
     )

@@ -15,7 +15,7 @@ import rclpy
 import trimesh
 from ament_index_python.packages import get_package_prefix
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
@@ -181,12 +181,19 @@ class Client(PlainClient):
         super().__init__(domain, name)
         self.answers: list[PointCloud2] = []
         self.statuses: list[EstimatorStatus] = []
+        self.poses: list[PoseWithCovarianceStamped] = []
         qos = QoSProfile(depth=100)
         self.node.create_subscription(PointCloud2, f"{name}/deformed_points", self.answers.append, qos)
         self.node.create_subscription(EstimatorStatus, f"{name}/status", self.statuses.append, qos)
+        self.node.create_subscription(
+            PoseWithCovarianceStamped, f"{name}/registration", self.poses.append, qos
+        )
         self.clouds = self.node.create_publisher(PointCloud2, "surface_points", 10)
         self.pairs = self.node.create_publisher(Correspondences, "correspondences", 10)
         self.registrations = self.node.create_publisher(TransformStamped, "registration", 10)
+        self.uncertain_registrations = self.node.create_publisher(
+            PoseWithCovarianceStamped, "registration_with_covariance", 10
+        )
 
     def said(self) -> str:
         return f"newest status: {self.statuses[-1] if self.statuses else None}"
@@ -199,8 +206,10 @@ class Client(PlainClient):
                 self.clouds.get_subscription_count() >= 1
                 and self.pairs.get_subscription_count() >= 1
                 and self.registrations.get_subscription_count() >= 1
+                and self.uncertain_registrations.get_subscription_count() >= 1
                 and self.node.count_publishers(f"{self.name}/status") >= 1
                 and self.node.count_publishers(f"{self.name}/deformed_points") >= 1
+                and self.node.count_publishers(f"{self.name}/registration") >= 1
             )
 
         self.wait(connected, "active node", timeout)
@@ -213,6 +222,12 @@ class Client(PlainClient):
             return next((s for s in self.statuses if nanoseconds(s.header.stamp) == stamp), None)
 
         return self.wait(found, f"status of stamp {stamp}", timeout)
+
+    def pose_of(self, stamp: int, timeout: float = 30.0) -> PoseWithCovarianceStamped:
+        def found():
+            return next((p for p in self.poses if nanoseconds(p.header.stamp) == stamp), None)
+
+        return self.wait(found, f"pose of stamp {stamp}", timeout)
 
     def answer_of(self, stamp: int, timeout: float = 30.0) -> PointCloud2:
         def found():
@@ -353,3 +368,28 @@ def registration_message(motion, parent: str = "camera", child: str = "organ") -
     rotation.x, rotation.y, rotation.z, rotation.w = (float(value) for value in quaternion)
     translation.x, translation.y, translation.z = (float(value) for value in motion[:3, 3])
     return message
+
+
+def pose_message(motion, covariance=None, parent: str = "camera") -> PoseWithCovarianceStamped:
+    """The same pose as of `registration_message`, with its covariance (6, 6)."""
+    message = PoseWithCovarianceStamped()
+    message.header.frame_id = parent
+    quaternion = Rotation.from_matrix(motion[:3, :3]).as_quat()
+    pose = message.pose.pose
+    orientation, position = pose.orientation, pose.position
+    orientation.x, orientation.y, orientation.z, orientation.w = (float(value) for value in quaternion)
+    position.x, position.y, position.z = (float(value) for value in motion[:3, 3])
+    if covariance is not None:
+        message.pose.covariance = np.asarray(covariance, dtype=np.float64).ravel()
+    return message
+
+
+def read_pose_message(message: PoseWithCovarianceStamped):
+    """Return the motion (4, 4) of a pose and its covariance (6, 6)."""
+    orientation, position = message.pose.pose.orientation, message.pose.pose.position
+    motion = np.eye(4)
+    motion[:3, :3] = Rotation.from_quat(
+        [orientation.x, orientation.y, orientation.z, orientation.w]
+    ).as_matrix()
+    motion[:3, 3] = [position.x, position.y, position.z]
+    return motion, np.array(message.pose.covariance).reshape(6, 6)

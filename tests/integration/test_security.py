@@ -59,9 +59,11 @@ def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
         return {role for role in ROLES if may(role, act, name)}
 
     assert who("publish", "/surface_points") == who("publish", "/correspondences") == {"tracker"}
-    assert who("publish", "/registration") == {"registration"}
+    for topic in ("/registration", "/registration_with_covariance"):
+        assert who("publish", topic) == {"registration"}
     assert who("request", f"/{NODE}/warp_points") == {"display"}
-    assert who("subscribe", f"/{NODE}/deformed_points") == {"display"}
+    for topic in ("deformed_points", "registration"):
+        assert who("subscribe", f"/{NODE}/{topic}") == {"display"}
     for service in node["reply"] - {f"/{NODE}/warp_points"}:
         assert who("request", service) == {"operator"}, service
     for topic in node["publish"]:

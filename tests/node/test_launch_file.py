@@ -22,7 +22,7 @@ def test_launch_file_and_rviz_configuration_are_well_formed():
     tree = ast.parse((PACKAGE / "launch" / "softtissue.launch.py").read_text())
     assert any(isinstance(n, ast.FunctionDef) and n.name == "generate_launch_description" for n in tree.body)
     names = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
-    for topic in ("surface_points", "correspondences", "registration"):
+    for topic in ("surface_points", "correspondences", "registration", "registration_with_covariance"):
         assert topic in names
     assert {f.name for f in dataclasses.fields(EstimatorConfig)} >= {
         "organ",
@@ -36,6 +36,7 @@ def test_launch_file_and_rviz_configuration_are_well_formed():
     assert topics == {
         "/softtissue_estimator/markers",
         "/softtissue_estimator/deformed_points",
+        "/softtissue_estimator/registration",
         "/surface_points",
     }
 
@@ -80,6 +81,7 @@ def test_launch_file_passes_on_what_is_given(launch_file):
         "surface_points": "/tracker/points",
         "correspondences": "correspondences",
         "registration": "registration",
+        "registration_with_covariance": "registration_with_covariance",
     }
     rviz = Path(described[-1].keywords["arguments"][1])
     assert rviz.is_file()

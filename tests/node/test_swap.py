@@ -20,7 +20,9 @@ from softtissue_estimator.ros.inputs.counters import FrameCounters
 from softtissue_estimator.ros.inputs.registration import Registration
 from softtissue_estimator.ros.outputs.answer_buffer import AnswerBuffer
 from softtissue_estimator.ros.outputs.markers import MarkerBuffer
-from softtissue_estimator.ros.responder import Outputs, Responder
+from softtissue_estimator.ros.outputs.serialised import read_stamp
+from softtissue_estimator.ros.publishing import Outputs
+from softtissue_estimator.ros.responder import Responder
 
 PATIENCE_S = 10.0
 
@@ -80,7 +82,8 @@ def engine(scene, name):
 @pytest.fixture
 def running(scene):
     """A responder with an engine `old` at work, what it publishes, and its counters."""
-    outputs = Outputs(Publisher(), Publisher(), Publisher(), lambda _: None, lambda _, error: str(error))
+    publishers = [Publisher() for _ in range(4)]
+    outputs = Outputs(*publishers, lambda _: None, lambda _, error: str(error))
     counters = FrameCounters()
     config = EstimatorConfig(minimum_visible_fraction=0.01, frame_budget_s=60.0)
     responder = Responder(outputs, counters, Registration(None), lambda: config)
@@ -129,6 +132,16 @@ def test_answers_do_not_wait_for_the_end_of_the_old_engine(running, scene):
     assert running.counters.counts.answered == 1
     running.old.estimator.may_close.set()
     thread.join(PATIENCE_S)
+
+
+def test_pose_of_every_answer_goes_out_before_it_and_none_with_a_refusal(running, scene):
+    responder, outputs, sent = running.responder, running.outputs, []
+    outputs.registration.publish = lambda data: sent.append(("pose", read_stamp(data)))
+    outputs.points.publish = lambda data: sent.append(("points", read_stamp(data)))
+    responder.deliver(responder.estimate(frame(scene, 5)))
+    responder.deliver(responder.estimate(Frame(scene.cloud(6, frame="moon"), None, time.monotonic(), 0)))
+    assert sent == [("pose", 5), ("points", 5)]
+    assert running.counters.counts.refused == 1
 
 
 def test_new_engine_rehearses_with_the_newest_cloud_and_says_nothing(running, scene):

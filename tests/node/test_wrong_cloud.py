@@ -12,7 +12,8 @@ from integration.harness import Scene, write_organ
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.estimator import create_estimator
-from softtissue_estimator.ros.frames import Frame, answer_frame, degradation_reasons
+from softtissue_estimator.ros.degradation import degradation_reasons
+from softtissue_estimator.ros.frames import Frame, FrameAnswerer
 from softtissue_estimator.ros.inputs.registration import Registration
 
 FRAMES_BEFORE, FRAMES_AFTER = 20, 24
@@ -47,12 +48,13 @@ def played(scene, wrong):
     """Play clouds, each when the one before is explained; return the wrong one's reasons, and what follows."""
     estimator, registration = create_estimator(CONFIG), Registration(None)
     estimator.load_organ(scene.organ)
+    answerer = FrameAnswerer(scene.organ, estimator)
     after, reasons = [], None
     for number in range(FRAMES_BEFORE + 1 + FRAMES_AFTER):
         points = wrong if number == FRAMES_BEFORE else scene.points
         frame = Frame(scene.cloud(1 + number, points=points), None, time.monotonic(), 0)
         try:
-            answer = answer_frame(frame, scene.organ, estimator, CONFIG, registration)
+            answer = answerer.answer(frame, CONFIG, registration)
         except InvalidInputError as error:
             if number != FRAMES_BEFORE:
                 raise

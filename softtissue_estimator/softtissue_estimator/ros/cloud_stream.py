@@ -59,6 +59,7 @@ class CloudStream:
             self._node,
             self._counters,
             self._registration,
+            lambda: self._responder.setup.frame,
             self._take,
             self._responder.refuse,
             self._boundary.warn,

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from softtissue_estimator.config import EstimatorConfig
@@ -10,7 +11,7 @@ from softtissue_estimator.estimators.estimator import Estimator, create_estimato
 from softtissue_estimator.estimators.preparation import Request, prepare_elsewhere, too_large
 from softtissue_estimator.organ.organ import Organ, load_organ
 from softtissue_estimator.organ.organ_file import FILE_NAME, read_organ_file
-from softtissue_estimator.ros.frames import unmoved
+from softtissue_estimator.ros.frames import FrameAnswerer, unmoved
 from softtissue_estimator.ros.outputs.answer_buffer import AnswerBuffer
 from softtissue_estimator.ros.outputs.markers import MarkerBuffer
 from softtissue_estimator.ros.outputs.status import Setup
@@ -27,6 +28,11 @@ class Engine:
     estimator: Estimator
     points: AnswerBuffer
     markers: MarkerBuffer
+
+    @cached_property
+    def answerer(self) -> FrameAnswerer:
+        """What makes answers of frames; one thread at a time may ask it."""
+        return FrameAnswerer(self.organ, self.estimator)
 
     @property
     def setup(self) -> Setup:

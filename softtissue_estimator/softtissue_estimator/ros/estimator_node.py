@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -28,7 +29,8 @@ from softtissue_estimator.ros.inputs.counters import FrameCounters
 from softtissue_estimator.ros.inputs.registration import Registration, tf_source
 from softtissue_estimator.ros.organ_loading import OrganLoading
 from softtissue_estimator.ros.outputs.status import diagnostics_message
-from softtissue_estimator.ros.responder import Outputs, Responder
+from softtissue_estimator.ros.publishing import Outputs
+from softtissue_estimator.ros.responder import Responder
 from softtissue_estimator.ros.service_calls import ServiceCalls
 from softtissue_estimator.ros.services import (
     MOST_WARPS,
@@ -76,6 +78,7 @@ class EstimatorNode(BoundedNode):
         outputs = Outputs(
             self.create_lifecycle_publisher(PointCloud2, "~/deformed_points", OUTPUT_QOS),
             self.create_lifecycle_publisher(MarkerArray, "~/markers", OUTPUT_QOS),
+            self.create_lifecycle_publisher(PoseWithCovarianceStamped, "~/registration", OUTPUT_QOS),
             self.create_lifecycle_publisher(EstimatorStatus, "~/status", OUTPUT_QOS),
             self.boundary.warn,
             self.boundary.sentence,

@@ -1,6 +1,6 @@
 """From one cloud to one answer."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +10,14 @@ from softtissue_msgs.msg import Correspondences
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.estimator import Estimate, Estimator
+from softtissue_estimator.estimators.structure_sigma import largest_sigmas
 from softtissue_estimator.inference.stopwatch import Stopwatch
 from softtissue_estimator.observation.observation import Observation, make_observation
 from softtissue_estimator.observation.visibility import visible_fraction
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.ros.inputs.conversions import Cloud, read_cloud
 from softtissue_estimator.ros.inputs.correspondences import read_correspondences
-from softtissue_estimator.ros.inputs.registration import Registration, transform_points
+from softtissue_estimator.ros.inputs.registration import OrganPose, Registration, transform_points
 
 FloatArray = NDArray[np.float64]
 
@@ -55,16 +56,16 @@ class Answer:
     estimate : Estimate
     positions : (q, 3) float64
         Intraoperative positions of `Organ.query_points`, m, organ frame.
-    cloud_frame : str
-        Frame of the cloud.
-    organ_from_cloud : (4, 4) float64
-        Motion from the cloud's frame to the organ's, m.
+    pose : OrganPose
+        Of the organ in the cloud's frame, as it was given.
     used, left_out : int
         Points of the cloud that entered the estimate, and those that did not.
     rejected_fraction : float
         Share of the correspondences that could not be used.
     visible_fraction : float
         Visible share of the organ's surface area.
+    structure_sigma : (s,) float64
+        Largest standard deviation of each structure, m; NaN where the estimator gives none.
     stages : dict
         Seconds of each stage, in order.
     """
@@ -73,53 +74,78 @@ class Answer:
     stamp_ns: int
     estimate: Estimate
     positions: FloatArray
-    cloud_frame: str
-    organ_from_cloud: FloatArray
+    pose: OrganPose
     used: int
     left_out: int
     rejected_fraction: float
     visible_fraction: float
+    structure_sigma: FloatArray
     stages: dict[str, float]
 
 
-def answer_frame(
-    frame: Frame, organ: Organ, estimator: Estimator, config: EstimatorConfig, registration: Registration
-) -> Answer:
-    """Estimate where everything in the organ is, from one frame.
+class FrameAnswerer:
+    """Answers frames, one at a time, and tells the estimator when they come with another registration.
 
-    Raises
-    ------
-    InvalidInputError
-        If the frame cannot be used.
+    Parameters
+    ----------
+    organ : Organ
+    estimator : Estimator
+        Has loaded it.
     """
-    watch = Stopwatch(frame.received_s)
-    watch.lap("wait")
-    cloud = read_cloud(frame.cloud)
-    motion = registration.organ_from_cloud(cloud.frame, organ.frame, cloud.stamp_ns)
-    points, reference, sigma = tracked_points(frame, cloud, organ.frame)
-    points = transform_points(motion, points)
-    watch.lap("read")
-    observation, rejected = make_observation(points, reference, sigma, organ, config)
-    watch.lap("check")
-    estimate = estimator.estimate(observation)
-    watch.lap("estimate")
-    watch.stages.update({f"estimate/{name}": seconds for name, seconds in estimate.stages.items()})
-    visible = visible_fraction(organ, observation)
-    watch.lap("visibility")
-    used = len(observation.reference)
-    return Answer(
-        organ=organ,
-        stamp_ns=cloud.stamp_ns,
-        estimate=estimate,
-        positions=organ.query_points + estimate.displacement,
-        cloud_frame=cloud.frame,
-        organ_from_cloud=motion,
-        used=used,
-        left_out=len(cloud.points) - used,
-        rejected_fraction=rejected / len(points),
-        visible_fraction=visible,
-        stages=watch.stages,
-    )
+
+    def __init__(self, organ: Organ, estimator: Estimator) -> None:
+        self._organ, self._estimator = organ, estimator
+        self._pose_before: OrganPose | None = None
+
+    def answer(self, frame: Frame, config: EstimatorConfig, registration: Registration) -> Answer:
+        """Estimate where everything in the organ is, from one frame.
+
+        Raises
+        ------
+        InvalidInputError
+            If the frame cannot be used.
+        """
+        organ = self._organ
+        watch = Stopwatch(frame.received_s)
+        watch.lap("wait")
+        cloud = read_cloud(frame.cloud)
+        pose = registration.pose(cloud.frame, organ.frame, cloud.stamp_ns)
+        points, reference, sigma = tracked_points(frame, cloud, organ.frame)
+        points = transform_points(pose.organ_from_cloud, points)
+        watch.lap("read")
+        observation, rejected = make_observation(points, reference, sigma, organ, config)
+        observation = replace(
+            observation,
+            stamp_s=1e-9 * cloud.stamp_ns,
+            registration_covariance=pose.covariance_at(organ.centre),
+        )
+        watch.lap("check")
+        self._notice(pose)
+        estimate = self._estimator.estimate(observation)
+        watch.lap("estimate")
+        watch.stages.update({f"estimate/{name}": seconds for name, seconds in estimate.stages.items()})
+        visible = visible_fraction(organ, observation)
+        watch.lap("visibility")
+        used = len(observation.reference)
+        return Answer(
+            organ=organ,
+            stamp_ns=cloud.stamp_ns,
+            estimate=estimate,
+            positions=organ.query_points + estimate.displacement,
+            pose=pose,
+            used=used,
+            left_out=len(cloud.points) - used,
+            rejected_fraction=rejected / len(points),
+            visible_fraction=visible,
+            structure_sigma=largest_sigmas(organ, estimate.sigma),
+            stages=watch.stages,
+        )
+
+    def _notice(self, pose: OrganPose) -> None:
+        # Here and not where registrations arrive: the frame in work has been explained with the one before.
+        before, self._pose_before = self._pose_before, pose
+        if before is not None and pose is not before and (pose.told or before.told):
+            self._estimator.forget_registration()
 
 
 def tracked_points(
@@ -152,24 +178,3 @@ def unmoved(organ: Organ, config: EstimatorConfig) -> Observation:
     """Return an observation of the whole surface at its preoperative place."""
     vertices = organ.surface.vertices
     return Observation(vertices, np.zeros_like(vertices), np.full(len(vertices), config.default_sigma_m))
-
-
-def degradation_reasons(answer: Answer, total_s: float, config: EstimatorConfig) -> list[str]:
-    """List why an answer is degraded that came `total_s` seconds after its cloud."""
-    reasons = []
-    if answer.visible_fraction < config.minimum_visible_fraction:
-        reasons.append(
-            f"visible share of the surface: expected at least {100 * config.minimum_visible_fraction:.3g} %,"
-            f" got {100 * answer.visible_fraction:.3g} %"
-        )
-    if answer.rejected_fraction > config.maximum_rejected_fraction:
-        reasons.append(
-            f"rejected correspondences: expected at most {100 * config.maximum_rejected_fraction:.3g} %,"
-            f" got {100 * answer.rejected_fraction:.3g} %"
-        )
-    if total_s > config.frame_budget_s:
-        reasons.append(
-            f"time from cloud to answer: expected at most {1e3 * config.frame_budget_s:.3g} ms,"
-            f" got {1e3 * total_s:.3g} ms"
-        )
-    return reasons

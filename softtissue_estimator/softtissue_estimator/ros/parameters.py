@@ -20,6 +20,7 @@ LIVE = frozenset(
         "minimum_points",
         "minimum_visible_fraction",
         "maximum_rejected_fraction",
+        "maximum_sigma_m",
         "frame_budget_s",
         "no_data_timeout_s",
     }

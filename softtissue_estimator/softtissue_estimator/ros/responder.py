@@ -5,29 +5,19 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from sensor_msgs.msg import PointCloud2
 
 from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.ros.degradation import degradation_reasons, in_one_sentence
 from softtissue_estimator.ros.engine import Engine
-from softtissue_estimator.ros.frames import Answer, Frame, answer_frame, degradation_reasons
+from softtissue_estimator.ros.frames import Answer, Frame
 from softtissue_estimator.ros.inputs.counters import FrameCounters
 from softtissue_estimator.ros.inputs.registration import Registration
 from softtissue_estimator.ros.outputs.markers import delete_all
 from softtissue_estimator.ros.outputs.status import DEGRADED, INVALID, OK, Report, Setup, status_message
+from softtissue_estimator.ros.publishing import Outputs
 from softtissue_estimator.support.sentences import one_sentence
-
-
-@dataclass(frozen=True)
-class Outputs:
-    """Publishers, where sentences are logged, and what makes a sentence of an exception."""
-
-    points: Any
-    markers: Any
-    status: Any
-    warn: Callable[[str], None]
-    explain: Callable[[str, BaseException], str]
 
 
 @dataclass(frozen=True)
@@ -135,7 +125,7 @@ class Responder:
             return
         # What is wrong with the cloud, or with the engine, is said when a cloud comes that it is to answer.
         with contextlib.suppress(Exception):
-            answer_frame(frame, engine.organ, engine.estimator, self._config(), self._registration)
+            engine.answerer.answer(frame, self._config(), self._registration)
 
     def exchange(self, before: Engine, engine: Engine) -> bool:
         """Change the engine between two answers if it is still the one from before; return whether it was changed."""
@@ -169,7 +159,7 @@ class Responder:
             return None
         self._newest = frame
         try:
-            answer = answer_frame(frame, engine.organ, engine.estimator, config, self._registration)
+            answer = engine.answerer.answer(frame, config, self._registration)
         except Exception as error:  # whatever it is, the cloud's sender is told
             return Outcome(
                 frame, engine, config, time.monotonic(), refusal=self._outputs.explain("estimate", error)
@@ -209,31 +199,22 @@ class Responder:
 
     def _publish(self, outcome: Outcome, answer: Answer) -> Report:
         began = time.monotonic()
-        engine, estimate = outcome.engine, answer.estimate
         self._answer = answer
-        self._outputs.points.publish(
-            engine.points.serialised(answer.positions, estimate.displacement, estimate.sigma, answer.stamp_ns)
-        )
-        published = time.monotonic()
-        if self._outputs.markers.get_subscription_count() > 0:
-            self._outputs.markers.publish(engine.markers.serialised(answer.positions, answer.stamp_ns))
-        marked = time.monotonic()
-        total = marked - outcome.frame.received_s
+        parts = self._outputs.publish(outcome.engine, answer)
+        total = time.monotonic() - outcome.frame.received_s
         reasons = degradation_reasons(answer, total, outcome.config)
-        stages = answer.stages | {
-            "hand over": began - outcome.made_s,
-            "publish points": published - began,
-            "publish markers": marked - published,
-        }
         return Report(
             DEGRADED if reasons else OK,
-            "; ".join(reasons),
+            in_one_sentence(reasons),
             answer.stamp_ns,
             answer.visible_fraction,
             answer.used,
             answer.left_out,
-            stages,
+            answer.stages | {"hand over": began - outcome.made_s} | parts,
             total,
+            diagnosis=answer.estimate.diagnosis,
+            structures=tuple(structure.name for structure in answer.organ.structures),
+            structure_sigma=tuple(answer.structure_sigma.tolist()),
         )
 
     def refuse(self, cloud: PointCloud2, reason: str) -> None:

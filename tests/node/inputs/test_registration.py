@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from integration.harness import CAMERA_FROM_ORGAN, registration_message
+from integration.harness import CAMERA_FROM_ORGAN, pose_message, registration_message
 from node.stand_ins import Recorder, stand_in
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.inputs.registration import Registration, tf_source, transform_points
@@ -40,6 +40,94 @@ def test_newest_registration_counts_and_others_do_not():
     registration.put(registration_message(np.eye(4), parent="microscope"))
     with pytest.raises(InvalidInputError, match="'organ' in 'microscope'"):
         registration.organ_from_cloud("camera", "organ", 0)
+
+
+TOLD = np.diag([1e-6, 2e-6, 3e-6, 1e-4, 2e-4, 3e-4])
+
+
+def moved(distance_m):
+    motion = CAMERA_FROM_ORGAN.copy()
+    motion[0, 3] += distance_m
+    return motion
+
+
+def test_pose_with_covariance_replaces_a_registration_and_is_replaced_by_one():
+    registration, centre = Registration(), np.array([0.1, 0.0, 0.2])
+    registration.put(registration_message(CAMERA_FROM_ORGAN))
+    assert registration.pose("camera", "organ", 0).covariance_at(centre) is None
+    registration.put_with_covariance(pose_message(moved(0.01), TOLD), "organ")
+    pose = registration.pose("camera", "organ", 0)
+    np.testing.assert_allclose(pose.motion, moved(0.01), atol=1e-12)
+    found = pose.covariance_at(centre)
+    # Turned into the organ's axes, these about its centre: nothing but the frame's axes change of a rotation.
+    turned = CAMERA_FROM_ORGAN[:3, :3].T @ TOLD[3:, 3:] @ CAMERA_FROM_ORGAN[:3, :3]
+    np.testing.assert_allclose(found[3:, 3:], turned, atol=1e-12)
+    assert np.trace(found[:3, :3]) > np.trace(TOLD[:3, :3]) + 0.02 * np.trace(turned)
+    registration.put(registration_message(moved(0.02)))
+    pose = registration.pose("camera", "organ", 0)
+    np.testing.assert_allclose(pose.motion, moved(0.02), atol=1e-12)
+    assert pose.covariance is None
+
+
+def test_pose_with_covariance_is_of_the_organ_at_work_when_it_came():
+    registration = Registration()
+    registration.put_with_covariance(pose_message(CAMERA_FROM_ORGAN, TOLD), "liver")
+    np.testing.assert_allclose(
+        registration.pose("camera", "liver", 0).organ_from_cloud, np.linalg.inv(CAMERA_FROM_ORGAN), atol=1e-12
+    )
+    with pytest.raises(InvalidInputError, match="'liver' in 'camera'"):
+        registration.pose("camera", "kidney", 0)
+
+
+@pytest.mark.parametrize("covariance", [-TOLD, np.full((6, 6), np.nan), TOLD + np.eye(6, k=1)])
+def test_pose_whose_covariance_is_none_leaves_the_one_before(covariance):
+    registration = Registration()
+    registration.put_with_covariance(pose_message(CAMERA_FROM_ORGAN, TOLD), "organ")
+    before = registration.pose("camera", "organ", 0)
+    with pytest.raises(InvalidInputError, match="^registration_with_covariance: expected"):
+        registration.put_with_covariance(pose_message(moved(0.01), covariance), "organ")
+    assert registration.pose("camera", "organ", 0) is before
+
+
+def repeated_in_float32(motion):
+    return motion.astype(np.float32).astype(np.float64)
+
+
+def test_registration_that_repeats_the_one_before_is_the_same():
+    registration = Registration()
+    registration.put(registration_message(CAMERA_FROM_ORGAN))
+    first = registration.pose("camera", "organ", 0)
+    opposite = registration_message(repeated_in_float32(CAMERA_FROM_ORGAN))
+    rotation = opposite.transform.rotation
+    rotation.x, rotation.y, rotation.z, rotation.w = -rotation.x, -rotation.y, -rotation.z, -rotation.w
+    registration.put(opposite)
+    registration.put_with_covariance(pose_message(CAMERA_FROM_ORGAN), "organ")  # zeros say nothing
+    assert registration.pose("camera", "organ", 1) is first
+    registration.put_with_covariance(pose_message(CAMERA_FROM_ORGAN, TOLD), "organ")
+    second = registration.pose("camera", "organ", 1)
+    assert second is not first
+    registration.put_with_covariance(pose_message(CAMERA_FROM_ORGAN, TOLD), "organ")
+    assert registration.pose("camera", "organ", 2) is second
+    registration.put_with_covariance(pose_message(CAMERA_FROM_ORGAN, 1.01 * TOLD), "organ")
+    assert registration.pose("camera", "organ", 2) is not second
+
+
+def test_small_steps_add_up_to_another_registration():
+    registration = Registration()
+    registration.put(registration_message(CAMERA_FROM_ORGAN))
+    first = registration.pose("camera", "organ", 0)
+    for step in range(1, 4):
+        registration.put(registration_message(moved(4e-7 * step)))
+    assert registration.pose("camera", "organ", 0) is not first
+
+
+def test_clouds_in_the_organ_s_own_frame_may_be_told_to_be_inexact():
+    registration = Registration()
+    with pytest.raises(InvalidInputError, match="expected no motion of frame 'organ' in itself"):
+        registration.put_with_covariance(pose_message(CAMERA_FROM_ORGAN, TOLD, "organ"), "organ")
+    assert registration.pose("organ", "organ", 0).covariance is None
+    registration.put_with_covariance(pose_message(np.eye(4), TOLD, "organ"), "organ")
+    np.testing.assert_allclose(registration.pose("organ", "organ", 0).covariance, TOLD, atol=1e-15)
 
 
 def test_tf_is_asked_when_no_registration_fits():

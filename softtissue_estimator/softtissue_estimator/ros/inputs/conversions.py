@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
@@ -226,18 +226,27 @@ def read_transform(message: TransformStamped) -> FloatArray:
     InvalidInputError
         If a number is not finite, the translation is further than `FARTHEST_M` or the quaternion not of unit length.
     """
-    rotation, translation = message.transform.rotation, message.transform.translation
+    return _rigid(message.transform.rotation, message.transform.translation, "registration")
+
+
+def read_pose(message: PoseWithCovarianceStamped) -> FloatArray:
+    """Read a pose, without its covariance, as `read_transform` reads a motion; it names no child."""
+    pose = message.pose.pose
+    return _rigid(pose.orientation, pose.position, "registration_with_covariance")
+
+
+def _rigid(rotation: Any, translation: Any, what: str) -> FloatArray:
     quaternion = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
     shift = np.array([translation.x, translation.y, translation.z])
     if not (np.isfinite(quaternion).all() and np.isfinite(shift).all()):
-        raise InvalidInputError("registration: expected finite numbers, got some that are not")
+        raise InvalidInputError(f"{what}: expected finite numbers, got some that are not")
     if np.abs(shift).max() > FARTHEST_M:
         raise InvalidInputError(
-            f"registration: expected a translation of at most {FARTHEST_M:g} m, got {np.abs(shift).max():.4g} m"
+            f"{what}: expected a translation of at most {FARTHEST_M:g} m, got {np.abs(shift).max():.4g} m"
         )
     length = math.hypot(*quaternion)  # without overflow
     if abs(length - 1.0) > 1e-3:
-        raise InvalidInputError(f"registration: expected a quaternion of length 1, got {length:.4g}")
+        raise InvalidInputError(f"{what}: expected a quaternion of length 1, got {length:.4g}")
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_quat(quaternion / length).as_matrix()
     matrix[:3, 3] = shift

@@ -1,14 +1,13 @@
-"""What arrives: clouds, correspondences and registrations, until they are frames to answer."""
+"""What arrives: clouds and correspondences, until they are frames to answer, and registrations."""
 
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from geometry_msgs.msg import TransformStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from sensor_msgs.msg import PointCloud2
 from softtissue_msgs.msg import Correspondences
 
@@ -22,17 +21,12 @@ from softtissue_estimator.ros.inputs.conversions import (
 from softtissue_estimator.ros.inputs.counters import FrameCounters, LossCounter
 from softtissue_estimator.ros.inputs.pairing import Outcome, StampMatcher, Waiting
 from softtissue_estimator.ros.inputs.registration import Registration
+from softtissue_estimator.ros.inputs.registration_topics import RegistrationTopics
 from softtissue_estimator.ros.inputs.watchdog import TRANSPORT_HINT
 
 # Depth 1: an old cloud is worth nothing. Correspondences may arrive a few messages before their cloud.
 CLOUD_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 CORRESPONDENCES_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-REGISTRATION_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-# For a registration that is published once and kept for late comers. A volatile publisher cannot serve such a
-# subscription and would log a warning, so there is one only where somebody offers it.
-KEPT_REGISTRATION_QOS = QoSProfile(
-    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
 
 
 @dataclass(frozen=True)
@@ -52,6 +46,8 @@ class Intake:
     node : Node
     counters : FrameCounters
     registration : Registration
+    organ_frame : callable
+        Returns the frame of the organ at work.
     on_frame : callable
         Takes a cloud that is complete.
     on_refusal : callable
@@ -67,24 +63,22 @@ class Intake:
         node: Node,
         counters: FrameCounters,
         registration: Registration,
+        organ_frame: Callable[[], str],
         on_frame: Callable[[Received], None],
         on_refusal: Callable[[PointCloud2, str], None],
         on_warning: Callable[[str], None],
         explain: Callable[[str, BaseException], str],
     ) -> None:
-        self._node, self._counters, self._registration = node, counters, registration
+        self._node, self._counters = node, counters
         self._on_frame, self._on_refusal, self._on_warning = on_frame, on_refusal, on_warning
         self._explain = explain
         self._matcher: StampMatcher[PointCloud2, Correspondences] = StampMatcher()
         self.last_cloud_s: float | None = None
         events = SubscriptionEventCallbacks(incompatible_qos=self._warn_incompatible)
-        self._kept_registration: Any = None
         self._pairs = node.create_subscription(
             Correspondences, "correspondences", self._take_correspondences, CORRESPONDENCES_QOS
         )
-        self._poses = node.create_subscription(
-            TransformStamped, "registration", self._take_registration, REGISTRATION_QOS
-        )
+        self._registrations = RegistrationTopics(node, registration, organ_frame, on_warning)
         # Last: who waits for this subscription to appear can rely on the others.
         self._clouds = node.create_subscription(
             PointCloud2, "surface_points", self._take_cloud, CLOUD_QOS, event_callbacks=events
@@ -112,14 +106,8 @@ class Intake:
         self._settle(self._matcher.expire(time.monotonic()))
 
     def look_for_kept_registration(self) -> None:
-        """Subscribe once more to the registration if all its publishers keep it for late comers."""
-        if self._kept_registration is not None:
-            return
-        offers = self._node.get_publishers_info_by_topic(self._poses.topic_name)
-        if offers and all(o.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers):
-            self._kept_registration = self._node.create_subscription(
-                TransformStamped, "registration", self._take_registration, KEPT_REGISTRATION_QOS
-            )
+        """Subscribe once more to registrations that all their publishers keep for late comers."""
+        self._registrations.look_for_kept()
 
     def clear(self) -> None:
         """Forget the clouds that wait, uncounted."""
@@ -127,9 +115,9 @@ class Intake:
 
     def close(self) -> None:
         """End the subscriptions."""
-        for subscription in (self._clouds, self._pairs, self._poses, self._kept_registration):
-            if subscription is not None:
-                self._node.destroy_subscription(subscription)
+        self._registrations.close()
+        for subscription in (self._clouds, self._pairs):
+            self._node.destroy_subscription(subscription)
 
     def _take_cloud(self, message: PointCloud2, info: dict[str, Any]) -> None:
         now = self.last_cloud_s = time.monotonic()
@@ -165,12 +153,6 @@ class Intake:
             self._on_warning(str(error))
             return
         self._settle(self._matcher.add_pairs(stamp_ns(message.header.stamp), message))
-
-    def _take_registration(self, message: TransformStamped) -> None:
-        try:
-            self._registration.put(message)
-        except InvalidInputError as error:
-            self._on_warning(str(error))
 
     def _settle(self, outcome: Outcome[PointCloud2, Correspondences]) -> None:
         self._counters.add(dropped=len(outcome.passed_over))

@@ -1,18 +1,22 @@
-"""The rigid pose of the organ: the newest `registration`, or tf2 where it is installed."""
+"""The rigid pose of the organ: the newest that was told, or tf2 where it is installed."""
 
 import threading
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.time import Time
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.ros.inputs.conversions import read_transform
+from softtissue_estimator.ros.inputs.conversions import read_pose, read_transform
+from softtissue_estimator.ros.inputs.pose_covariance import at_centre, read_covariance
 
 FloatArray = NDArray[np.float64]
+
+_SAME = 1e-6  # m and rad: two poses that differ by less are one, rounded
 
 
 class TransformSource(Protocol):
@@ -20,6 +24,50 @@ class TransformSource(Protocol):
 
     def lookup(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> TransformStamped | None:
         """Return the pose of `organ_frame` in `cloud_frame`, or None if unknown."""
+
+
+@dataclass(frozen=True, eq=False)
+class OrganPose:
+    """Pose of the organ's frame in the cloud's frame, as it is given.
+
+    Attributes
+    ----------
+    cloud_frame, organ_frame : str
+    motion : (4, 4) float64
+        From the organ's frame to the cloud's, m.
+    covariance : (6, 6) float64 or None
+        As in a PoseWithCovariance (`pose_covariance`); None where nobody says it.
+    told : bool
+        Whether somebody registered the organ so: not where the frames are one, and not by tf2, where a pose may
+        change because the camera moves.
+    """
+
+    cloud_frame: str
+    organ_frame: str
+    motion: FloatArray
+    covariance: FloatArray | None = None
+    told: bool = False
+
+    @property
+    def organ_from_cloud(self) -> FloatArray:
+        """The (4, 4) motion that takes points from the cloud's frame to the organ's, m."""
+        return _inverse(self.motion)
+
+    def covariance_at(self, centre: FloatArray) -> FloatArray | None:
+        """Return the (6, 6) covariance about the organ's centre (3,) m as an `Observation` has it, if there is one."""
+        if self.covariance is None:
+            return None
+        return at_centre(self.covariance, self.motion[:3, :3], centre)
+
+    def repeats(self, other: "OrganPose") -> bool:
+        """Say whether it says the same as another one, but for rounding."""
+        mine, its = self.covariance, other.covariance
+        if mine is None or its is None:
+            covariances = mine is its
+        else:
+            covariances = np.allclose(mine, its, _SAME, 1e-15)
+        frames = (self.cloud_frame, self.organ_frame) == (other.cloud_frame, other.organ_frame)
+        return frames and covariances and np.allclose(self.motion, other.motion, 0.0, _SAME)
 
 
 class Registration:
@@ -34,7 +82,7 @@ class Registration:
     def __init__(self, fallback: TransformSource | None = None) -> None:
         self._lock = threading.Lock()
         self._fallback = fallback
-        self._newest: tuple[str, str, FloatArray] | None = None
+        self._newest: OrganPose | None = None
 
     def put(self, message: TransformStamped) -> None:
         """Take a registration, which replaces the one before.
@@ -42,11 +90,57 @@ class Registration:
         Raises
         ------
         InvalidInputError
-            If it is not a rigid motion; the one before stays.
+            If it is not a rigid motion, or one of a frame in itself; the one before stays.
         """
-        newest = (message.header.frame_id, message.child_frame_id, read_transform(message))
+        motion = read_transform(message)
+        self._put(OrganPose(message.header.frame_id, message.child_frame_id, motion, told=True))
+
+    def put_with_covariance(self, message: PoseWithCovarianceStamped, organ_frame: str) -> None:
+        """Take a registration of the organ whose frame is called `organ_frame`, which replaces the one before.
+
+        Raises
+        ------
+        InvalidInputError
+            As `put`, or if its covariance is none; the one before stays.
+        """
+        motion = read_pose(message)
+        covariance = read_covariance(message.pose.covariance, "registration_with_covariance")
+        self._put(OrganPose(message.header.frame_id, organ_frame, motion, covariance, told=True))
+
+    def _put(self, pose: OrganPose) -> None:
+        # Clouds may arrive in the organ's own frame, of which a covariance says how exact they are.
+        if pose.cloud_frame == pose.organ_frame and not np.allclose(pose.motion, np.eye(4), 0.0, _SAME):
+            raise InvalidInputError(
+                f"registration: expected no motion of frame {pose.organ_frame!r} in itself, got another"
+            )
         with self._lock:
-            self._newest = newest
+            # One that only repeats the one before stays the same object, from which others tell that it does.
+            if self._newest is None or not pose.repeats(self._newest):
+                self._newest = pose
+
+    def pose(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> OrganPose:
+        """Return the pose of the organ's frame in the cloud's; the same object as long as the registration is.
+
+        Raises
+        ------
+        InvalidInputError
+            If the frames differ and no registration between them is known.
+        """
+        with self._lock:
+            newest = self._newest
+        if newest is not None and (newest.cloud_frame, newest.organ_frame) == (cloud_frame, organ_frame):
+            return newest
+        if cloud_frame == organ_frame:
+            return OrganPose(cloud_frame, organ_frame, np.eye(4))
+        if self._fallback is not None and cloud_frame:
+            message = self._fallback.lookup(cloud_frame, organ_frame, stamp_ns)
+            if message is not None:
+                return OrganPose(cloud_frame, organ_frame, read_transform(message))
+        have = "none" if newest is None else f"one of {newest.organ_frame!r} in {newest.cloud_frame!r}"
+        raise InvalidInputError(
+            f"cloud: expected frame {organ_frame!r} or a registration of {organ_frame!r} in the cloud's frame,"
+            f" got a cloud in frame {cloud_frame!r} and {have}"
+        )
 
     def organ_from_cloud(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> FloatArray:
         """Return the (4, 4) motion that takes points from the cloud's frame to the organ's, m.
@@ -54,23 +148,9 @@ class Registration:
         Raises
         ------
         InvalidInputError
-            If the frames differ and no registration between them is known.
+            As `pose`.
         """
-        if cloud_frame == organ_frame:
-            return np.eye(4)
-        with self._lock:
-            newest = self._newest
-        if newest is not None and newest[:2] == (cloud_frame, organ_frame):
-            return _inverse(newest[2])
-        if self._fallback is not None and cloud_frame:
-            message = self._fallback.lookup(cloud_frame, organ_frame, stamp_ns)
-            if message is not None:
-                return _inverse(read_transform(message))
-        have = "none" if newest is None else f"one of {newest[1]!r} in {newest[0]!r}"
-        raise InvalidInputError(
-            f"cloud: expected frame {organ_frame!r} or a registration of {organ_frame!r} in the cloud's frame,"
-            f" got a cloud in frame {cloud_frame!r} and {have}"
-        )
+        return self.pose(cloud_frame, organ_frame, stamp_ns).organ_from_cloud
 
 
 def _inverse(motion: FloatArray) -> FloatArray:

@@ -7,6 +7,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from softtissue_msgs.msg import EstimatorStatus
 
+from softtissue_estimator.estimators.diagnosis import Diagnosis
 from softtissue_estimator.ros.inputs.conversions import time_message
 from softtissue_estimator.ros.inputs.counters import Counts
 
@@ -45,6 +46,12 @@ class Report:
         Seconds of each stage, in order.
     total_s : float
         From the reception of the cloud to the publication of its answer, s; NaN without answer.
+    diagnosis : Diagnosis or None
+        What the estimator found out about its input; None without answer.
+    structures : tuple of str
+        Names of the organ's structures; empty without answer.
+    structure_sigma : tuple of float
+        Largest standard deviation of each, m; NaN where the estimator gives none.
     """
 
     level: int
@@ -56,6 +63,33 @@ class Report:
     stages: dict[str, float] = field(default_factory=dict)
     total_s: float = math.nan
     stamp: Time | None = None
+    diagnosis: Diagnosis | None = None
+    structures: tuple[str, ...] = ()
+    structure_sigma: tuple[float, ...] = ()
+
+    @property
+    def registration_error(self) -> tuple[float, float]:
+        """Distance (m) and angle (rad) by which the registration is off, as estimated; NaN where that is unknown."""
+        found = None if self.diagnosis is None else self.diagnosis.registration
+        return (math.nan, math.nan) if found is None else (found.translation_m, found.rotation_rad)
+
+    @property
+    def registration_sigma(self) -> tuple[float, float]:
+        """Standard deviation of each component of its translation (m) and rotation (rad); NaN where unknown."""
+        found = None if self.diagnosis is None else self.diagnosis.registration
+        return (
+            (math.nan, math.nan) if found is None else (found.translation_sigma_m, found.rotation_sigma_rad)
+        )
+
+    @property
+    def outlier_fraction(self) -> float:
+        """Share of the points that cannot belong to the organ's surface, 0 to 1; NaN without answer."""
+        return math.nan if self.diagnosis is None else self.diagnosis.outlier_share
+
+    @property
+    def innovation_rms(self) -> float:
+        """Root mean square of the normalised innovations; NaN where nothing came before."""
+        return math.nan if self.diagnosis is None else self.diagnosis.innovation_rms
 
 
 @dataclass(frozen=True)
@@ -86,6 +120,12 @@ def status_message(report: Report, setup: Setup, counts: Counts) -> EstimatorSta
     message.stage_names = list(report.stages)
     message.stage_seconds = list(report.stages.values())
     message.total_seconds = report.total_s
+    message.registration_translation_error, message.registration_rotation_error = report.registration_error
+    message.registration_translation_sigma, message.registration_rotation_sigma = report.registration_sigma
+    message.outlier_fraction = report.outlier_fraction
+    message.innovation_rms = report.innovation_rms
+    message.structure_names = list(report.structures)
+    message.structure_sigmas = list(report.structure_sigma)
     return message
 
 
@@ -113,9 +153,25 @@ def diagnostics_message(
         "points used": report.used,
         "points rejected": report.left_out,
         "total (ms)": f"{1e3 * report.total_s:.1f}",
-    }
+    } | _findings(report)
     values |= {f"{stage} (ms)": f"{1e3 * seconds:.1f}" for stage, seconds in report.stages.items()}
     status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
     message = DiagnosticArray(status=[status])
     message.header.stamp = now
     return message
+
+
+def _findings(report: Report) -> dict[str, str]:
+    distance, angle = report.registration_error
+    distance_sigma, angle_sigma = report.registration_sigma
+    found = {
+        "registration off by (mm)": f"{1e3 * distance:.2f}",
+        "registration off by (deg)": f"{math.degrees(angle):.2f}",
+        "registration sigma (mm)": f"{1e3 * distance_sigma:.2f}",
+        "registration sigma (deg)": f"{math.degrees(angle_sigma):.2f}",
+        "outlier fraction": f"{report.outlier_fraction:.3f}",
+        "innovation rms": f"{report.innovation_rms:.2f}",
+    }
+    for name, sigma in zip(report.structures, report.structure_sigma, strict=True):
+        found[f"largest sigma of {name} (mm)"] = f"{1e3 * sigma:.2f}"
+    return found

@@ -1,0 +1,44 @@
+"""Publishers, and the way of an answer through them."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from softtissue_estimator.ros.engine import Engine
+from softtissue_estimator.ros.frames import Answer
+from softtissue_estimator.ros.outputs.pose_buffer import PoseBuffer, fitted_pose
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Publishers, where sentences are logged, and what makes a sentence of an exception."""
+
+    points: Any
+    markers: Any
+    registration: Any
+    status: Any
+    warn: Callable[[str], None]
+    explain: Callable[[str, BaseException], str]
+    _poses: PoseBuffer = field(default_factory=PoseBuffer, init=False)
+
+    def publish(self, engine: Engine, answer: Answer) -> dict[str, float]:
+        """Send an answer; one thread at a time may do so. Returns the seconds that each part took, in order."""
+        began, estimate = time.monotonic(), answer.estimate
+        # First, so that whoever draws an answer in the cloud's frame has the pose of its stamp already.
+        motion, covariance = fitted_pose(answer.pose, estimate.diagnosis.registration)
+        self.registration.publish(
+            self._poses.serialised(motion, covariance, answer.pose.cloud_frame, answer.stamp_ns)
+        )
+        posed = time.monotonic()
+        self.points.publish(
+            engine.points.serialised(answer.positions, estimate.displacement, estimate.sigma, answer.stamp_ns)
+        )
+        published = time.monotonic()
+        if self.markers.get_subscription_count() > 0:
+            self.markers.publish(engine.markers.serialised(answer.positions, answer.stamp_ns))
+        return {
+            "publish registration": posed - began,
+            "publish points": published - posed,
+            "publish markers": time.monotonic() - published,
+        }
