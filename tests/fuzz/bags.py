@@ -13,7 +13,7 @@ try:
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
-    from softtissue_estimator.ros.tools.bag import Bag, begins_with_header, message_type, qos_of
+    from softtissue_estimator.ros.tools.bag import Bag, begins_with_header, qos_of
 except ImportError as error:
     MISSING = str(error)
 else:
@@ -74,7 +74,7 @@ class Bags(Kind):
         with Bag(path) as bag:
             for connection in bag.connections:
                 qos_of(connection, 10)
-                begins_with_header(message_type(connection.msgtype))
+                begins_with_header(bag.kind_of(connection))
             expect(
                 bag.message_count > 0 and bag.duration_ns >= 0 and bag.start_ns >= 0,
                 "negative times or counts",

@@ -1,12 +1,14 @@
 """Bags: recorded messages, their types and their quality of service."""
 
 import importlib
+import json
 import os
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
@@ -79,6 +81,32 @@ class Bag:
         """Time from the first to the last message, nanoseconds."""
         return int(self._reader.duration)
 
+    def kind_of(self, connection: Any) -> Any:
+        """Return the class of a topic's messages.
+
+        Raises
+        ------
+        InvalidInputError
+            If no such type is installed, or the messages were recorded with another definition of it: their bytes mean
+            something else.
+        """
+        kind = message_type(connection.msgtype)
+        installed = _installed_hash(connection.msgtype)
+        recorded = self._recorded_hash(connection.msgtype)
+        if None not in (installed, recorded) and installed != recorded:
+            raise InvalidInputError(
+                f"expected messages of {connection.msgtype} as it is installed, got some of another definition of it"
+            )
+        return kind
+
+    def _recorded_hash(self, name: str) -> str | None:
+        if name not in self._reader.typestore.fielddefs:
+            return None
+        try:
+            return str(self._reader.typestore.hash_rihs01(name))
+        except Exception as error:  # of a definition that may hold anything
+            raise InvalidInputError(_damaged(self._path, error)) from error
+
     def messages(self) -> Iterator[tuple[Any, int, bytes]]:
         """Yield connection, time of recording (nanoseconds) and serialised message, in order of time.
 
@@ -103,6 +131,17 @@ def _damaged(path: Path, error: Exception) -> str:
     return one_sentence(
         f"bag {path}: expected MCAP or sqlite3 that can be read, got {type(error).__name__}: {error}"
     )
+
+
+def _installed_hash(name: str) -> str | None:
+    """Return what identifies a definition; None where it is not known, as before ROS 2 Iron."""
+    package, _, kind = name.partition("/msg/")
+    try:
+        described = Path(get_package_share_directory(package)) / "msg" / f"{kind}.json"
+        hashes = json.loads(described.read_text())["type_hashes"]
+    except (PackageNotFoundError, OSError):
+        return None
+    return next((str(entry["hash_string"]) for entry in hashes if entry["type_name"] == name), None)
 
 
 def message_type(name: str) -> Any:

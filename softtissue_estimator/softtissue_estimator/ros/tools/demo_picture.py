@@ -14,7 +14,7 @@ from softtissue_estimator.ros.inputs.conversions import Cloud, read_cloud
 from softtissue_estimator.ros.inputs.conversions import stamp_ns as nanoseconds
 from softtissue_estimator.ros.inputs.correspondences import read_correspondences
 from softtissue_estimator.ros.inputs.registration import Registration, transform_points
-from softtissue_estimator.ros.tools.bag import Bag, message_type
+from softtissue_estimator.ros.tools.bag import Bag
 from softtissue_estimator.view.picture import draw_phantom
 from softtissue_estimator.view.scene import Markers, Scene
 
@@ -61,12 +61,12 @@ def read_recording(path: Path) -> Recording:
         for connection, _, data in bag.messages():
             topic = connection.topic.lstrip("/")
             if topic == REGISTRATION:
-                recording.registration.put(deserialize_message(data, message_type(connection.msgtype)))
+                recording.registration.put(deserialize_message(data, bag.kind_of(connection)))
             elif topic == CORRESPONDENCES:
-                message = deserialize_message(data, message_type(connection.msgtype))
+                message = deserialize_message(data, bag.kind_of(connection))
                 pairs[nanoseconds(message.header.stamp)] = message
             elif topic in kinds:
-                cloud = read_cloud(deserialize_message(data, message_type(connection.msgtype)))
+                cloud = read_cloud(deserialize_message(data, bag.kind_of(connection)))
                 kinds[topic][cloud.stamp_ns] = cloud
     if not recording.clouds:
         raise InvalidInputError(f"bag {path}: expected clouds on {CLOUDS}, got none")

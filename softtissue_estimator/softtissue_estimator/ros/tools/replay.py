@@ -61,7 +61,7 @@ class Replay:
     """
 
     def __init__(self, node: Any, bag: Any, options: argparse.Namespace, stop: StopRequest) -> None:
-        from softtissue_estimator.ros.tools.bag import begins_with_header, message_type, qos_of
+        from softtissue_estimator.ros.tools.bag import begins_with_header, qos_of
 
         self._node, self._bag, self._options, self._stop = node, bag, options, stop
         self._publishers: dict[int, Any] = {}
@@ -69,7 +69,7 @@ class Replay:
         self.sent: Counter[str] = Counter()
         for connection in bag.connections:
             try:
-                kind = message_type(connection.msgtype)
+                kind = bag.kind_of(connection)
             except InvalidInputError as error:
                 node.get_logger().warning(f"topic {connection.topic} is left out: {error}")
                 continue

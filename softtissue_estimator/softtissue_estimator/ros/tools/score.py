@@ -98,7 +98,7 @@ class Listener:
         self._client = node.create_client(WarpPoints, f"{name}/warp_points")
         self._qos = QoSProfile(depth=QUEUE)
         self._answers = [
-            node.create_subscription(EstimatorStatus, f"{name}/status", self._on_status, self._qos),
+            node.create_subscription(EstimatorStatus, f"{name}/status", self._on_status, self._qos, raw=True),
             node.create_subscription(PointCloud2, f"{name}/deformed_points", self._on_answer, self._qos),
         ]
         node.create_subscription(PointCloud2, "markers_truth", self._on_truth, self._qos)
@@ -180,7 +180,15 @@ class Listener:
         self.record.reference = np.asarray(cloud.reference, dtype=np.float64)
         self.record.truth[cloud.stamp_ns] = np.asarray(cloud.points, dtype=np.float64)
 
-    def _on_status(self, message: Any) -> None:
+    def _on_status(self, data: bytes) -> None:
+        from rclpy.serialization import deserialize_message
+        from softtissue_msgs.msg import EstimatorStatus
+
+        try:
+            message = deserialize_message(data, EstimatorStatus)
+        except Exception:  # rclpy's own
+            self.problem = "status: expected EstimatorStatus as it is installed, got bytes of something else"
+            return
         self.last_news_s = time.monotonic()
         self.record.dropped, self.record.refused = int(message.frames_dropped), int(message.frames_refused)
         if message.level != message.INVALID:
