@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from sensor_msgs.msg import PointCloud2, PointField
@@ -14,7 +14,7 @@ from softtissue_msgs.msg import Correspondences
 from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints
 
 from fuzz.damage import WHOLE_NUMBERS, damaged_bytes, how_often
-from integration.harness import CAMERA_FROM_ORGAN, Scene, registration_message
+from integration.harness import CAMERA_FROM_ORGAN, Scene, pose_message, registration_message
 
 _UNSIGNED = tuple(n for n in WHOLE_NUMBERS if 0 <= n < 2**32)
 _FLOATS = (
@@ -42,8 +42,8 @@ _PATHS = (
 )  # fmt: skip
 PARAMETERS = (
     "default_sigma_m", "max_displacement_m", "max_reference_distance_m", "minimum_points", "minimum_visible_fraction",
-    "maximum_rejected_fraction", "frame_budget_s", "no_data_timeout_s", "organ", "organ_root", "estimator", "device",
-    "use_sim_time", "tracking", "autostart", "nobody", "", "a\nb",
+    "maximum_rejected_fraction", "maximum_sigma_m", "frame_budget_s", "no_data_timeout_s", "organ", "organ_root",
+    "estimator", "device", "use_sim_time", "tracking", "autostart", "nobody", "", "a\nb",
 )  # fmt: skip
 
 
@@ -55,6 +55,7 @@ def good_message(kind: str, scene: Scene, stamp: int = 10**18) -> list[Any]:
         {
             "cloud": lambda: scene.cloud(stamp),
             "registration": lambda: registration_message(CAMERA_FROM_ORGAN),
+            "registration_with_covariance": lambda: pose_message(CAMERA_FROM_ORGAN, 1e-4 * np.eye(6)),
             "warp_points": lambda: WarpPoints.Request(points=[0.01, 0.0, 0.02, -0.01, 0.0, 0.0]),
             "load_organ": lambda: LoadOrgan.Request(folder="/nowhere"),
             "reset": Reset.Request,
@@ -174,6 +175,21 @@ def _registration(rng: random.Random, message: TransformStamped) -> None:
         setattr(getattr(message.transform, part), rng.choice(axis), rng.choice(_FLOATS))
 
 
+def _pose(rng: random.Random, message: PoseWithCovarianceStamped) -> None:
+    if rng.random() < 0.2:
+        _header(rng, message.header)
+    elif rng.random() < 0.3:
+        part, axis = rng.choice((("position", "xyz"), ("orientation", "xyzw")))
+        setattr(getattr(message.pose.pose, part), rng.choice(axis), rng.choice(_FLOATS))
+    else:
+        covariance, value = np.array(message.pose.covariance).reshape(6, 6), rng.choice(_FLOATS)
+        row, column = rng.randrange(6), rng.randrange(6)
+        covariance[row, column] = value
+        if rng.random() < 0.7:
+            covariance[column, row] = value
+        message.pose.covariance = covariance.ravel()
+
+
 def _warp(rng: random.Random, request: WarpPoints.Request) -> None:
     if rng.random() < 0.3:
         _header(rng, request.header)
@@ -203,6 +219,7 @@ _CHANGES = {
     PointCloud2: _cloud,
     Correspondences: _pairs,
     TransformStamped: _registration,
+    PoseWithCovarianceStamped: _pose,
     WarpPoints.Request: _warp,
     LoadOrgan.Request: _load,
     Reset.Request: lambda _rng, _request: None,

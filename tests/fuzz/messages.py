@@ -20,7 +20,7 @@ _BYTES_SHARE = 0.25
 _KINDS = (
     ("cloud",) * 8
     + ("pair",) * 4
-    + ("registration", "warp_points", "parameters") * 2
+    + ("registration", "registration_with_covariance", "warp_points", "parameters") * 2
     + ("load_organ", "reset")
 )
 

@@ -21,6 +21,7 @@ from integration.harness import (
     Scene,
     nanoseconds,
     read_answer,
+    read_pose_message,
     registration_message,
     write_organ,
 )
@@ -37,6 +38,7 @@ _VALUES: dict[str, Any] = {
     "minimum_points": 10,
     "minimum_visible_fraction": 0.01,
     "maximum_rejected_fraction": 0.3,
+    "maximum_sigma_m": 0.05,
     "frame_budget_s": 60.0,
     "no_data_timeout_s": 60.0,
 }
@@ -114,8 +116,8 @@ class NodeInside:
         faults = node.boundary.faults
         if kind in ("cloud", "pair"):
             outcome = self._give_clouds(messages)
-        elif kind == "registration":
-            self._subscriptions["registration"].callback(messages[0])
+        elif kind.startswith("registration"):
+            self._subscriptions[kind].callback(messages[0])
             outcome = "taken"
         else:
             outcome = self._call(kind, messages[0])
@@ -183,6 +185,11 @@ class NodeInside:
             expect(
                 all(bool(np.isfinite(records[n]).all()) for n in records.dtype.names),
                 "an answer that is not finite",
+            )
+        for pose in self._kept("registration"):
+            motion, covariance = read_pose_message(pose)
+            expect(
+                bool(np.isfinite(motion).all() and np.isfinite(covariance).all()), "a pose that is not finite"
             )
         for markers in self._kept("markers"):
             for marker in markers.markers:

@@ -11,6 +11,7 @@ from fuzz.kind import Kind, MissingError, check_sentence, expect
 from fuzz.messages import packed, unpacked
 
 try:
+    from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
     from rclpy.serialization import deserialize_message, serialize_message
     from sensor_msgs.msg import PointCloud2
     from softtissue_msgs.srv import Reset
@@ -25,8 +26,8 @@ else:
 
 _BURST = 25  # messages, after which a good cloud must be answered
 _PAUSE_S = 0.004  # between two
-_KINDS = ("cloud",) * 5 + ("pair",) * 3 + ("registration",)
-_CLOUD, _PAIRS, _REGISTRATION = b"c", b"p", b"r"
+_KINDS = ("cloud",) * 5 + ("pair",) * 3 + ("registration", "registration_with_covariance")
+_CLOUD, _PAIRS, _REGISTRATION, _POSE = b"c", b"p", b"r", b"u"
 _OK, _INVALID = 0, 2
 _MOST_GROWTH_BYTES = 300 << 20  # of the node's memory, over all
 _TOLERANCE_M = 1e-3
@@ -63,13 +64,7 @@ class OverDds(Kind):
                 data = serialize_message(message)
                 if rng.random() < 0.3:
                     data = data[:4] + damaged_bytes(rng, data[4:])
-                topic = (
-                    _REGISTRATION
-                    if kind == "registration"
-                    else _CLOUD
-                    if isinstance(message, PointCloud2)
-                    else _PAIRS
-                )
+                topic = _topic_of(message)
                 parts.append(topic + data)
         return "burst.cdr", packed(parts[:_BURST])
 
@@ -77,7 +72,12 @@ class OverDds(Kind):
         client = self._client
         client.statuses.clear()
         client.answers.clear()
-        publishers = {_CLOUD: client.clouds, _PAIRS: client.pairs, _REGISTRATION: client.registrations}
+        publishers = {
+            _CLOUD: client.clouds,
+            _PAIRS: client.pairs,
+            _REGISTRATION: client.registrations,
+            _POSE: client.uncertain_registrations,
+        }
         stamps: set[int] = set()
         for part in unpacked(content):
             topic, data = part[:1], part[1:]
@@ -148,6 +148,11 @@ class OverDds(Kind):
     def _resident(self) -> int:
         lines = Path(f"/proc/{self._node.process.pid}/status").read_text().splitlines()
         return int(next(line for line in lines if line.startswith("VmRSS")).split()[1]) << 10
+
+
+def _topic_of(message: object) -> bytes:
+    kinds = ((PointCloud2, _CLOUD), (TransformStamped, _REGISTRATION), (PoseWithCovarianceStamped, _POSE))
+    return next((topic for kind, topic in kinds if isinstance(message, kind)), _PAIRS)
 
 
 def _stamp_of(data: bytes) -> set[int]:

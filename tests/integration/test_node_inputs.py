@@ -14,7 +14,9 @@ from integration.harness import (
     NodeProcess,
     Scene,
     cloud_message,
+    pose_message,
     read_answer,
+    read_pose_message,
     registration_message,
     write_organ,
 )
@@ -134,6 +136,50 @@ def test_registered_cloud_gives_the_same_answer(client, scene):
     assert answer.header.frame_id == "organ"
     for name in ("x", "y", "z", "dx", "dy", "dz"):
         np.testing.assert_allclose(read_answer(answer)[name], expected[name], atol=1e-5)
+
+
+def seen_by_camera(scene):
+    return scene.points @ CAMERA_FROM_ORGAN[:3, :3].T + CAMERA_FROM_ORGAN[:3, 3]
+
+
+def test_answer_comes_with_the_pose_that_fits_it_and_what_was_found_out(client, scene):
+    stamp = next(stamps)
+    client.uncertain_registrations.publish(pose_message(CAMERA_FROM_ORGAN, 1e-6 * np.eye(6)))
+    client.spin(0.3)
+    client.clouds.publish(scene.cloud(stamp, frame="camera", points=seen_by_camera(scene)))
+    answer, status = client.answer_of(stamp), client.status_of(stamp)
+    pose = client.pose_of(stamp)
+    assert (pose.header.frame_id, answer.header.frame_id) == ("camera", "organ")
+    motion, covariance = read_pose_message(pose)
+    # The registration is right, and is said to be so to a millimetre.
+    np.testing.assert_allclose(motion, CAMERA_FROM_ORGAN, atol=0.005)
+    assert (np.linalg.eigvalsh(covariance) > -1e-15).all() and 0.0 < covariance[0, 0] < 1e-5
+    assert 0.0 <= status.registration_translation_error < 0.005
+    assert 0.0 < status.registration_translation_sigma < 0.002
+    assert status.structure_names == [structure.name for structure in scene.organ.structures]
+    points = read_answer(answer)
+    for number, sigma in enumerate(status.structure_sigmas):
+        assert sigma == pytest.approx(points["sigma"][points["structure"] == number].max(), rel=1e-6)
+
+
+def test_newer_pose_with_covariance_replaces_the_registration(client, scene):
+    far = CAMERA_FROM_ORGAN.copy()
+    far[:3, 3] += 5.0
+    for publisher, message, level in [
+        (client.registrations, registration_message(far), INVALID),
+        (client.uncertain_registrations, pose_message(CAMERA_FROM_ORGAN, 1e-6 * np.eye(6)), OK),
+    ]:
+        stamp = next(stamps)
+        publisher.publish(message)
+        client.spin(0.3)
+        client.clouds.publish(scene.cloud(stamp, frame="camera", points=seen_by_camera(scene)))
+        assert client.status_of(stamp).level == level
+
+
+def test_registration_whose_covariance_is_none_is_logged(running):
+    node, client = running
+    client.uncertain_registrations.publish(pose_message(np.eye(4), -np.eye(6)))
+    node.wait_for_text("registration_with_covariance: expected variances of at least 0", timeout=10.0)
 
 
 def test_some_nan_points_are_left_out_and_counted(client, scene):

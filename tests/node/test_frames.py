@@ -102,6 +102,11 @@ def test_observation_has_the_stamp_of_its_cloud_and_the_covariance_at_the_organ_
     assert answer.structure_sigma.tolist() == [sizes[0] - 1.0, sum(sizes) - 1.0]
 
 
+def test_stamp_of_zero_is_none(stream):
+    stream.show(0, frame="organ")
+    assert stream.estimator.observations[0].stamp_s is None
+
+
 def test_nobody_says_how_exact_a_plain_registration_is(stream):
     stream.registration.put(registration_message(CAMERA_FROM_ORGAN))
     stream.show()

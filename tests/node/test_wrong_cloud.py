@@ -52,7 +52,7 @@ def played(scene, wrong):
     after, reasons = [], None
     for number in range(FRAMES_BEFORE + 1 + FRAMES_AFTER):
         points = wrong if number == FRAMES_BEFORE else scene.points
-        frame = Frame(scene.cloud(1 + number, points=points), None, time.monotonic(), 0)
+        frame = Frame(scene.cloud((1 + number) * 100_000_000, points=points), None, time.monotonic(), 0)
         try:
             answer = answerer.answer(frame, CONFIG, registration)
         except InvalidInputError as error:

@@ -116,7 +116,7 @@ class FrameAnswerer:
         observation, rejected = make_observation(points, reference, sigma, organ, config)
         observation = replace(
             observation,
-            stamp_s=1e-9 * cloud.stamp_ns,
+            stamp_s=1e-9 * cloud.stamp_ns or None,  # zero is what those leave there who have no clock
             registration_covariance=pose.covariance_at(organ.centre),
         )
         watch.lap("check")

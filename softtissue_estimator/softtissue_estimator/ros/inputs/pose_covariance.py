@@ -55,10 +55,10 @@ def read_covariance(numbers: Sequence[float], what: str) -> FloatArray | None:
             f" got {np.sqrt(variances.max()):.4g}"
         )
     scale = np.sqrt(np.where(variances > 0.0, variances, 1.0))
-    with np.errstate(over="ignore", invalid="ignore"):
-        correlation = given / scale / scale[:, None]
-        asymmetry = float(np.abs(correlation - correlation.T).max())
-    if not asymmetry <= _ROUNDING:
+    with np.errstate(over="ignore"):
+        correlation = np.clip(given / scale / scale[:, None], -2.0, 2.0)  # beyond 1 is too much already
+    asymmetry = float(np.abs(correlation - correlation.T).max())
+    if asymmetry > _ROUNDING:
         raise InvalidInputError(
             f"{what}: expected a symmetric covariance, got correlations that differ by {asymmetry:.2g}"
         )
