@@ -69,7 +69,7 @@ def test_replay_leaves_them_out_in_a_sentence_and_plays_the_others(old):
     with Bag(old) as bag:
         playing = replay.Replay(node, bag, options, SimpleNamespace(event=StopEvent()))
         playing.play()
-    assert list(node.publishers) == ["/surface_points"]
+    assert sorted(node.publishers) == ["/registration_with_covariance", "/surface_points"]
     assert [read_stamp(data) for data in node.publishers["/surface_points"].published] == list(STAMPS)
     (warning,) = node.warnings
     assert warning.startswith(
@@ -77,8 +77,10 @@ def test_replay_leaves_them_out_in_a_sentence_and_plays_the_others(old):
     )
 
 
-def test_demo_reads_the_clouds_beside_them(old):
-    assert sorted(read_recording(old).clouds) == list(STAMPS)
+def test_demo_reads_clouds_and_registration_beside_them(old):
+    recording = read_recording(old, "organ")
+    assert sorted(recording.clouds) == list(STAMPS)
+    assert recording.registration.organ_from_cloud("camera", "organ", 0)[2, 3] == -2.0
 
 
 def test_every_topic_of_the_bundled_bag_is_played():

@@ -70,7 +70,7 @@ class PoseBuffer:
         if frame != self._frame:
             self._prepare(frame)
         self._numbers[:3] = motion[:3, 3]
-        # Of SciPy's, which looks first whether it is a rotation, a seventh of the time.
+        # Faster than SciPy's, which looks first whether it is a rotation.
         w, x, y, z = quaternion_from_matrix(motion, isprecise=True)  # type: ignore[no-untyped-call]
         self._numbers[3:7] = x, y, z, w
         self._numbers[7:] = covariance.reshape(-1)

@@ -54,6 +54,7 @@ class Bag:
                 f"bag {path}: expected times from 0 ns on, got {count} messages from {first_ns} to {last_ns} ns"
             )
         self._path = path
+        self._kinds: dict[int, Any] = {}
 
     def __enter__(self) -> "Bag":
         return self
@@ -90,6 +91,11 @@ class Bag:
             If no such type is installed, or the messages were recorded with another definition of it: their bytes mean
             something else.
         """
+        if connection.id not in self._kinds:
+            self._kinds[connection.id] = self._checked_kind(connection)
+        return self._kinds[connection.id]
+
+    def _checked_kind(self, connection: Any) -> Any:
         kind = message_type(connection.msgtype)
         installed = _installed_hash(connection.msgtype)
         recorded = self._recorded_hash(connection.msgtype)

@@ -14,6 +14,7 @@ from typing import Any
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
+from softtissue_estimator.organ.organ_file import read_organ_file
 from softtissue_estimator.ros.tools.demo_picture import draw, read_recording
 from softtissue_estimator.ros.tools.processes import executable, process, relay
 from softtissue_estimator.ros.tools.scoring import failures, table
@@ -154,7 +155,7 @@ def run(options: Options) -> int:
     """Run every estimator, write report and picture; return the exit code."""
     shutil.rmtree(options.out, ignore_errors=True)
     options.out.mkdir(parents=True)
-    recording = read_recording(options.bag)
+    recording = read_recording(options.bag, read_organ_file(options.organ).frame)
     reports = {}
     for estimator in options.estimators:
         print(f"==> {estimator}: starting node, replay and score", flush=True)

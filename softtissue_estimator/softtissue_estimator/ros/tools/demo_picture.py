@@ -21,7 +21,7 @@ from softtissue_estimator.view.scene import Markers, Scene
 FloatArray = NDArray[np.float64]
 
 CLOUDS, MARKERS, TRUTH, REGISTRATION = "surface_points", "markers_truth", "organ_truth", "registration"
-CORRESPONDENCES = "correspondences"
+UNCERTAIN_REGISTRATION, CORRESPONDENCES = "registration_with_covariance", "correspondences"
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class Recording:
         return float(np.linalg.norm(markers.points - markers.reference, axis=1).mean())
 
 
-def read_recording(path: Path) -> Recording:
-    """Read the frames of a bag.
+def read_recording(path: Path, organ_frame: str) -> Recording:
+    """Read the frames of a bag about an organ whose frame is called `organ_frame`.
 
     Raises
     ------
@@ -62,6 +62,9 @@ def read_recording(path: Path) -> Recording:
             topic = connection.topic.lstrip("/")
             if topic == REGISTRATION:
                 recording.registration.put(deserialize_message(data, bag.kind_of(connection)))
+            elif topic == UNCERTAIN_REGISTRATION:
+                message = deserialize_message(data, bag.kind_of(connection))
+                recording.registration.put_with_covariance(message, organ_frame)
             elif topic == CORRESPONDENCES:
                 message = deserialize_message(data, bag.kind_of(connection))
                 pairs[nanoseconds(message.header.stamp)] = message
