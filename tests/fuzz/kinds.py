@@ -7,11 +7,13 @@ from fuzz.messages import Messages
 from fuzz.over_dds import OverDds
 from fuzz.stores import CachedFiles, Weights
 from fuzz.tables import Tables
+from fuzz.tetrahedra import Tetrahedra
 from fuzz.yaml_files import YamlFiles
 
 KINDS: tuple[type[Kind], ...] = (
     Meshes,
     LibraryMeshes,
+    Tetrahedra,
     YamlFiles,
     Tables,
     CachedFiles,

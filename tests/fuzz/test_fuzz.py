@@ -16,6 +16,7 @@ SEED = 20
 SAMPLES = {
     "meshes": 400,
     "library meshes": 60,
+    "tetrahedra": 30,
     "yaml files": 300,
     "tables": 600,
     "cached files": 300,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -96,6 +97,21 @@ def read_mesh(path: Path, unit_m: float, system: str | None = None) -> StoredMes
     MeshError
         If the file is missing, of another format, damaged or holds no triangle.
     """
+    with _reading(path):
+        return _reduced(_surface(_cells(path, system), unit_m), str(path))
+
+
+def read_cells(path: Path, system: str | None = None) -> MeshCells:
+    """Read points, in the file's unit, and cells as they are stored; arguments and errors as of `read_mesh`."""
+    with _reading(path):
+        cells = _cells(path, system)
+        check_cells(cells.blocks, len(cells.points))
+        return cells
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Make of whatever is wrong with a file one sentence that names it."""
     if not path.is_file():
         raise MeshError(f"mesh {path}: expected a file, found {'a folder' if path.is_dir() else 'none'}")
     kind = path.suffix.lower()
@@ -104,21 +120,25 @@ def read_mesh(path: Path, unit_m: float, system: str | None = None) -> StoredMes
             f"mesh {path}: expected one of {', '.join(MESH_FORMATS)}, got {kind or 'no extension'}"
         )
     try:
-        size = path.stat().st_size
-        if size == 0:
-            raise MeshError("expected a mesh, got an empty file")
-        if size > _LARGEST_FILE_BYTES:
-            raise MeshError(
-                f"expected a file of at most {_LARGEST_FILE_BYTES >> 20} MiB, got {size >> 20} MiB; reduce the mesh "
-                "where it was made"
-            )
         # What overflows or is no number is found in the result; NumPy would say so on the terminal.
         with np.errstate(all="ignore"):
-            return _reduced(_surface(_in_system(_READERS[kind](path), system, path), unit_m), str(path))
+            yield
     except MeshError as error:
         raise MeshError(f"mesh {path}: {_other_format(path) or error}") from error
     except OSError as error:
         raise MeshError(f"mesh {path}: expected a file that can be read, got '{error.strerror}'") from error
+
+
+def _cells(path: Path, system: str | None) -> MeshCells:
+    size = path.stat().st_size
+    if size == 0:
+        raise MeshError("expected a mesh, got an empty file")
+    if size > _LARGEST_FILE_BYTES:
+        raise MeshError(
+            f"expected a file of at most {_LARGEST_FILE_BYTES >> 20} MiB, got {size >> 20} MiB; reduce the mesh "
+            "where it was made"
+        )
+    return _in_system(_READERS[path.suffix.lower()](path), system, path)
 
 
 def _in_system(cells: MeshCells, system: str | None, path: Path) -> MeshCells:

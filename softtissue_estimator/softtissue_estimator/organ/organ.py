@@ -25,6 +25,8 @@ from softtissue_estimator.organ.stray_vertices import warn_of_stray_vertices
 from softtissue_estimator.organ.surface_lookup import SurfaceLookup, build_surface_lookup
 from softtissue_estimator.organ.surface_patch import patch
 from softtissue_estimator.organ.surface_repair import check_closed, clean_organ_surface
+from softtissue_estimator.organ.tetrahedra_file import read_tetrahedra
+from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
 _log = logging.getLogger(__name__)
 
@@ -62,9 +64,11 @@ class Organ:
     folder : Path or None
         Where it was read from.
     digest : str
-        Hash of geometry, attachment and structures; equal digests mean equal organs.
+        Hash of geometry, attachment, structures and tetrahedra; equal digests mean equal organs.
     system : str or None
         Coordinate system that its files state, 'LPS' or 'RAS' say; None if they state none.
+    tetrahedra : VolumeMesh or None
+        What fills it, where its folder says so; None leaves them to whoever needs them.
     """
 
     name: str
@@ -75,6 +79,7 @@ class Organ:
     folder: Path | None
     digest: str
     system: str | None = None
+    tetrahedra: VolumeMesh | None = None
 
     def __post_init__(self) -> None:
         if self.attached.shape != (len(self.surface.vertices),):
@@ -106,16 +111,23 @@ class Organ:
 
     @cached_property
     def geometry_digest(self) -> str:
-        """Hash of the surface and of the query points: equal for organs that differ in their attached region alone."""
+        """Hash of surface, query points and tetrahedra: equal for organs that differ in their attached region alone."""
         content = hashlib.sha256()
-        for array in (self.surface.faces, self.query_points):
+        for array in (self.surface.faces, self.query_points, *_arrays(self.tetrahedra)):
             content.update(f"{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
         return content.hexdigest()
 
     def with_attached(self, attached: BoolArray) -> "Organ":
         """Return the same organ attached elsewhere, (n,) flags; what was computed of its geometry is kept."""
         other = make_organ(
-            self.name, self.frame, self.surface, self.structures, attached, self.folder, self.system
+            self.name,
+            self.frame,
+            self.surface,
+            self.structures,
+            attached,
+            self.folder,
+            self.system,
+            self.tetrahedra,
         )
         for name in ("geometry_digest", "query_points", "structure_points", "surface_lookup"):
             if name in self.__dict__:
@@ -136,6 +148,7 @@ def make_organ(
     attached: BoolArray,
     folder: Path | None = None,
     system: str | None = None,
+    tetrahedra: VolumeMesh | None = None,
 ) -> Organ:
     """Make an organ and hash its content."""
     content = hashlib.sha256()
@@ -146,7 +159,13 @@ def make_organ(
         content.update(f"{structure.name}\0{structure.kind}\0{structure.colour}".encode())
         for array in (structure.mesh.vertices, structure.mesh.faces):
             content.update(f"{array.shape}".encode() + array.tobytes())
-    return Organ(name, frame, surface, structures, flags, folder, content.hexdigest(), system)
+    for array in _arrays(tetrahedra):
+        content.update(f"{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+    return Organ(name, frame, surface, structures, flags, folder, content.hexdigest(), system, tetrahedra)
+
+
+def _arrays(mesh: VolumeMesh | None) -> tuple[FloatArray | IntArray, ...]:
+    return () if mesh is None else (mesh.nodes, mesh.tets)
 
 
 def load_organ(folder: Path, roots: tuple[Path, ...] | None = None) -> Organ:
@@ -179,7 +198,10 @@ def load_organ(folder: Path, roots: tuple[Path, ...] | None = None) -> Organ:
     for structure in structures:
         check_place(structure.name, structure.mesh, stored.mesh, file.path)
     attached = _attached_vertices(stored, file, system)
-    return make_organ(file.name, file.frame, stored.mesh, structures, attached, folder, system)
+    tetrahedra = None
+    if file.tetrahedra is not None:
+        tetrahedra = read_tetrahedra(file.tetrahedra, file.unit_m, system, stored.mesh)
+    return make_organ(file.name, file.frame, stored.mesh, structures, attached, folder, system, tetrahedra)
 
 
 def _surface_system(surface: StoredMesh, file: OrganFile) -> str | None:

@@ -12,6 +12,7 @@ from softtissue_estimator.support.files import can_be_read, expanded, is_file, i
 from softtissue_estimator.support.yaml_file import kind_of, read_yaml, shown
 
 FILE_NAME = "organ.yaml"
+_KEYS = {"name", "frame", "unit", "system", "surface", "structures", "attached", "tetrahedra"}
 UNITS_M = {"mm": 0.001, "m": 1.0}
 _INDEX = re.compile(r"[+-]?[0-9]{1,18}")
 _MOST_INDEX_BYTES = 16 * 2**20
@@ -64,6 +65,8 @@ class OrganFile:
         None if the file says nothing about it.
     system : str or None
         'LPS' or 'RAS', of the surface; None if the file says nothing about it.
+    tetrahedra : Path or None
+        What fills the surface; None if the file names none.
     """
 
     path: Path
@@ -74,6 +77,7 @@ class OrganFile:
     structures: tuple[StructureEntry, ...]
     attached: AttachedEntry | None
     system: str | None = None
+    tetrahedra: Path | None = None
 
     @property
     def unit_m(self) -> float:
@@ -102,9 +106,7 @@ def read_organ_file(folder: Path, roots: tuple[Path, ...] | None = None) -> Orga
         raise OrganError(f"organ {folder}: expected a folder with {FILE_NAME}, found none that can be read")
     content = read_yaml(path, OrganError)
     source = _Source(path, roots)
-    top = _Entry(
-        source, "", content, {"name", "frame", "unit", "system", "surface", "structures", "attached"}
-    )
+    top = _Entry(source, "", content, _KEYS)
     unit = top.text("unit", required_hint="mm or m")
     if unit not in UNITS_M:
         raise OrganError(f"{path}, unit: expected mm or m, got {shown(unit)}")
@@ -120,6 +122,7 @@ def read_organ_file(folder: Path, roots: tuple[Path, ...] | None = None) -> Orga
         structures=tuple(_structure(source, i, item) for i, item in enumerate(top.items("structures"))),
         attached=_attached(source, top.value("attached"), UNITS_M[unit]),
         system=system,
+        tetrahedra=None if top.value("tetrahedra") is None else top.file("tetrahedra"),
     )
 
 

@@ -131,7 +131,7 @@ def tetrahedralise(surface: SurfaceMesh, progress: Callable[[str], None]) -> Vol
     volume = enclosed_volume(surface)
     if not volume > 0.0:
         raise MeshError(f"volume mesh: expected a surface with a positive volume, got {1e6 * volume:.3g} ml")
-    edge = (volume / _CUBED_EDGES_PER_VOLUME) ** (1.0 / 3.0)
+    edge = edge_length(volume)
     mesh = None
     for _ in range(3):
         progress(f"filling the organ with tetrahedra of {1e3 * edge:.1f} mm, which takes 5 to 60 s")
@@ -157,6 +157,11 @@ def tetrahedralise(surface: SurfaceMesh, progress: Callable[[str], None]) -> Vol
             f"got {100.0 * ratio:.0f} % of it"
         )
     return mesh
+
+
+def edge_length(volume_m3: float) -> float:
+    """Length of edges, m, that gives an organ of a volume, m^3, the nodes that are wanted."""
+    return float((volume_m3 / _CUBED_EDGES_PER_VOLUME) ** (1.0 / 3.0))
 
 
 def clean_tets(nodes: FloatArray, tets: IntArray) -> VolumeMesh:

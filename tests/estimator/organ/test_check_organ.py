@@ -1,5 +1,7 @@
 """The command that reads an organ folder and says what it found."""
 
+import re
+
 import numpy as np
 import pytest
 import trimesh
@@ -51,3 +53,27 @@ def test_what_cannot_be_used_gives_one_sentence_and_exit_code_2(folder, capsys):
     assert err.startswith("error: ")
     assert "state mm" in err
     assert err.count("\n") == 1
+
+
+def test_tetrahedra_are_written_and_then_named(folder, capsys):
+    path = folder / "more" / "tets.vtu"
+    assert check_organ.main([str(folder), "--tetrahedra", str(path)]) == 2
+    assert "expected a file that can be written, got 'No such file or directory'" in capsys.readouterr().err
+    path.parent.mkdir()
+    assert check_organ.main([str(folder), "--tetrahedra", str(path)]) == 0
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert line.endswith("once organ.yaml says  tetrahedra: more/tets.vtu")
+    with (folder / "organ.yaml").open("a") as file:
+        file.write(line.rpartition("  ")[2] + "\n")
+    assert check_organ.main([str(folder)]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"tetrahedra: \d{4} of [3-9]\d\d nodes, 9[5-9]\.\d % of the surface's volume\n", out)
+    assert "filling" not in out
+
+
+def test_tetrahedra_of_another_name_are_refused_before_anything_is_done(folder, capsys):
+    assert check_organ.main([str(folder), "--tetrahedra", str(folder / "tets.stl")]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "expected a name that ends in .vtu, got " in err
+    assert not (folder / "tets.stl").exists()

@@ -24,13 +24,14 @@ NAMES = [
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("key", ["surface", "vertices", "structure", "touching"])
+@pytest.mark.parametrize("key", ["surface", "vertices", "structure", "touching", "tetrahedra"])
 def test_name_of_any_file_is_a_sentence(folder, name, key):
     changes = {
         "surface": {"surface": name},
         "vertices": {"attached": {"vertices": name}},
         "structure": {"structures": [{"name": "x", "mesh": name}]},
         "touching": {"attached": {"touching": {"mesh": name, "distance": 1}}},
+        "tetrahedra": {"tetrahedra": name},
     }[key]
     with pytest.raises(SoftTissueError, match="expected"):
         load_organ(describe(folder, **changes))
@@ -75,7 +76,7 @@ def test_nothing_outside_the_roots_is_read(folder, tmp_path_factory):
 
 
 @pytest.mark.parametrize("how", ["absolute", "dots", "link", "home", "missing"])
-@pytest.mark.parametrize("key", ["surface", "vertices", "structure", "touching"])
+@pytest.mark.parametrize("key", ["surface", "vertices", "structure", "touching", "tetrahedra"])
 def test_no_file_outside_the_roots_is_read(folder, tmp_path_factory, monkeypatch, how, key):
     outside = tmp_path_factory.mktemp("outside") / "secret.ply"
     shutil.copy(next(folder.glob("*.ply")), outside)
@@ -93,6 +94,7 @@ def test_no_file_outside_the_roots_is_read(folder, tmp_path_factory, monkeypatch
         "vertices": {"attached": {"vertices": name}},
         "structure": {"structures": [{"name": "x", "mesh": name}]},
         "touching": {"attached": {"touching": {"mesh": name, "distance": 1}}},
+        "tetrahedra": {"tetrahedra": name},
     }[key]
     with pytest.raises(OrganError, match="expected a file in one of organ_root .*, got one elsewhere"):
         load_organ(describe(folder, **changes), (folder,))

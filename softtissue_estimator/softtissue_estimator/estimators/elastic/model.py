@@ -77,7 +77,7 @@ class ElasticModel:
 def build_model(
     organ: Organ, config: EstimatorConfig, device: torch.device, progress: Progress
 ) -> ElasticModel:
-    """Prepare an organ: seconds the first time, afterwards the tetrahedra come from the cache.
+    """Prepare an organ: seconds the first time, afterwards the tetrahedra that it does not bring come from the cache.
 
     Another attached region of the same organ keeps the tetrahedra and takes a fraction of a second.
 
@@ -165,7 +165,9 @@ def _indices(array: NDArray[Any], shape: tuple[int, ...], count: int) -> bool:
 
 
 def _fill(organ: Organ, progress: Progress) -> Arrays:
-    mesh = tetrahedralise(organ.surface, progress)
+    mesh = organ.tetrahedra
+    if mesh is None:
+        mesh = tetrahedralise(organ.surface, progress)
     progress(f"finding where the organ's points lie in {len(mesh.tets)} tetrahedra")
     return {
         "nodes": mesh.nodes,

@@ -21,6 +21,7 @@ _VOLUME_FACES: dict[str, tuple[tuple[int, ...], ...]] = {
     "wedge": ((0, 1, 2), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
     "hexahedron": ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }
+VOLUME_SHAPES = frozenset(("tetra", "pyramid", "wedge", "hexahedron"))
 _CORNER_COUNT = {"triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 _WITHOUT_SURFACE = ("vertex", "line")
 _TYPE_NAME = re.compile(r"([a-z_]+)\d*$")
@@ -112,7 +113,7 @@ def surface_of_cells(vertices: FloatArray, blocks: Sequence[CellBlock]) -> IntAr
     blocks : sequence of CellBlock
         Checked by `check_cells`.
     """
-    volumes = [block for block in blocks if block.shape in _VOLUME_FACES]
+    volumes = [block for block in blocks if block.shape in VOLUME_SHAPES]
     if volumes:
         loops = _outside(vertices, volumes)
     else:

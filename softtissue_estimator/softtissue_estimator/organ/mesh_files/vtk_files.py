@@ -14,6 +14,7 @@ from softtissue_estimator.organ.mesh_files.cell_surface import CellBlock, MeshCe
 from softtissue_estimator.organ.mesh_files.coordinate_system import stated_system
 from softtissue_estimator.organ.mesh_files.isolated import read_isolated, require_library
 from softtissue_estimator.organ.mesh_files.plain_text import without_mark
+from softtissue_estimator.organ.mesh_files.plain_vtu import is_plain_vtu, read_plain_vtu
 
 VTK_FORMATS = (".vtk", ".vtp", ".vtu")
 
@@ -60,16 +61,18 @@ _CELL_ARRAYS = 4  # polygons, strips, lines and points of PolyData; an Unstructu
 
 
 def read_vtk(path: Path) -> MeshCells:
-    """Read points in the file's unit and cells.
+    """Read points in the file's unit and cells; tetrahedra that were written by `plain_vtu` without the VTK library.
 
     Raises
     ------
     MeshError
         The VTK library is missing, or the file holds no PolyData or UnstructuredGrid with points.
     """
+    content = b"" if path.suffix.lower() == ".vtk" else without_mark(path.read_bytes())
+    if is_plain_vtu(content):
+        return read_plain_vtu(content)
     require_library("vtkmodules", "vtk", "vtk", path.suffix)
-    if path.suffix.lower() != ".vtk":
-        _check_announced(without_mark(path.read_bytes()))
+    _check_announced(content)
     arrays = read_isolated(path, "PolyData or UnstructuredGrid with points")
     points = np.asarray(arrays["points"], dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
