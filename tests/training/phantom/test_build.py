@@ -11,10 +11,11 @@ from scipy.spatial.transform import Rotation
 
 import softtissue_training.phantom.__main__ as command
 from softtissue_estimator.errors import InvalidInputError, MeshError
-from softtissue_estimator.organ.mesh import vertex_areas
+from softtissue_estimator.organ.mesh import enclosed_volume, vertex_areas
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.organ.signed_distance import signed_distance
-from softtissue_training.phantom import motion
+from softtissue_training.organs.tetrahedralise import radius_ratio
+from softtissue_training.phantom import filled_shape
 from softtissue_training.phantom.bag import START_NS, BagWriter, folder_digest
 from softtissue_training.phantom.build import build_phantom, describe
 from softtissue_training.phantom.motion import push_force
@@ -84,6 +85,12 @@ def test_organ_folder_holds_the_anatomy(organ, phantom):
     np.testing.assert_array_equal(organ.attached, phantom.anatomy.attached)
     assert [s.name for s in organ.structures] == ["portal vein", "hepatic veins", "tumour"]
     np.testing.assert_allclose(organ.query_points, phantom.anatomy.query_points, atol=1e-8)
+
+
+def test_organ_brings_tetrahedra_that_fill_it(organ):
+    assert 500 <= len(organ.tetrahedra.nodes) <= 900
+    assert organ.tetrahedra.volumes.sum() == pytest.approx(enclosed_volume(organ.surface), rel=0.02)
+    assert radius_ratio(organ.tetrahedra.nodes, organ.tetrahedra.tets).min() > 0.1
 
 
 def test_structures_lie_inside_the_organ(organ):
@@ -241,8 +248,8 @@ def test_body_is_filled_with_smaller_elements_where_some_would_be_flat(phantom, 
             raise MeshError("too flat")
         return "mesh"
 
-    monkeypatch.setattr(motion, "tetrahedralise", fill)
-    assert motion._fill(phantom.anatomy, 0.03) == "mesh"
+    monkeypatch.setattr(filled_shape, "tetrahedralise", fill)
+    assert filled_shape.fill(phantom.anatomy.shape, 0.03) == "mesh"
     np.testing.assert_allclose(tried, [0.036, 0.96 * 0.036])
 
 
@@ -250,6 +257,6 @@ def test_body_that_cannot_be_filled_is_an_error(phantom, monkeypatch):
     def fill(surface, size):
         raise MeshError("too flat")
 
-    monkeypatch.setattr(motion, "tetrahedralise", fill)
+    monkeypatch.setattr(filled_shape, "tetrahedralise", fill)
     with pytest.raises(MeshError, match="too flat"):
-        motion._fill(phantom.anatomy, 0.03)
+        filled_shape.fill(phantom.anatomy.shape, 0.03)

@@ -22,6 +22,7 @@ _MODULES = {
     "benchmark": "benchmark",
     "timing": "timing",
     "realtime": "realtime",
+    "mesh-spread": "mesh_spread",
     "export": "export",
     "compare-solvers": "compare_solvers",
 }

@@ -10,8 +10,11 @@ import yaml
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import MeshError
-from softtissue_estimator.organ.mesh import SurfaceMesh
+from softtissue_estimator.organ.mesh import SurfaceMesh, enclosed_volume
 from softtissue_estimator.organ.surface_patch import patch
+from softtissue_estimator.organ.tetrahedra_file import write_tetrahedra
+from softtissue_estimator.organ.volume_mesh import edge_length
+from softtissue_training.phantom.filled_shape import coarse_tetrahedra
 from softtissue_training.phantom.implicit import Implicit, Points
 from softtissue_training.phantom.isosurface import isosurface
 from softtissue_training.phantom.liver_shape import LiverShape, random_liver
@@ -21,6 +24,7 @@ from softtissue_training.phantom.vessels import grow_tree, interior_points
 
 Array = NDArray[np.float64]
 ORGAN_FRAME = "organ"
+TETRAHEDRA_FILE = "tetrahedra.vtu"
 
 # Where the vessels enter: from a point outside (m) towards one inside, 10 mm below the surface.
 _PORTAL_ENTRY = ((0.008, 0.060, -0.030), (-0.005, 0.0, 0.010))
@@ -161,7 +165,13 @@ def check_inside(shape: Implicit, parts: tuple[Part, ...]) -> None:
 
 
 def write_organ(anatomy: Anatomy, folder: Path, name: str) -> None:
-    """Write the organ's folder: PLY files in millimetres, the attached vertices and `organ.yaml`."""
+    """Write the organ's folder: PLY files in millimetres, tetrahedra, the attached vertices and `organ.yaml`.
+
+    Raises
+    ------
+    MeshError
+        If the organ cannot be filled with tetrahedra.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     _write_ply(anatomy.surface, folder / "liver.ply")
     structures = []
@@ -169,6 +179,8 @@ def write_organ(anatomy: Anatomy, folder: Path, name: str) -> None:
         file = part.name.replace(" ", "_") + ".ply"
         _write_ply(part.mesh, folder / file)
         structures.append({"name": part.name, "kind": part.kind, "mesh": file, "colour": list(part.colour)})
+    tetrahedra = coarse_tetrahedra(anatomy.shape, edge_length(enclosed_volume(anatomy.surface)))
+    write_tetrahedra(folder / TETRAHEDRA_FILE, tetrahedra, 0.001, anatomy.surface)
     indices = np.flatnonzero(anatomy.attached)
     (folder / "attached.txt").write_text("".join(f"{index}\n" for index in indices))
     content = {
@@ -176,6 +188,7 @@ def write_organ(anatomy: Anatomy, folder: Path, name: str) -> None:
         "frame": ORGAN_FRAME,
         "unit": "mm",
         "surface": "liver.ply",
+        "tetrahedra": TETRAHEDRA_FILE,
         "structures": structures,
         "attached": {"vertices": "attached.txt"},
     }

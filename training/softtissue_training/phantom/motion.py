@@ -10,11 +10,9 @@ from scipy import sparse
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
-from softtissue_estimator.errors import MeshError
 from softtissue_training.errors import SolverDivergedError
-from softtissue_training.organs.tetrahedralise import TetMesh, tetrahedralise
 from softtissue_training.phantom.anatomy import Anatomy
-from softtissue_training.phantom.isosurface import isosurface
+from softtissue_training.phantom.filled_shape import fill
 from softtissue_training.phantom.mooney_rivlin import mooney_rivlin
 from softtissue_training.phantom.quadratic_mesh import Interpolator, QuadraticMesh, to_quadratic
 from softtissue_training.phantom.spec import PhantomSpec, Push
@@ -87,7 +85,7 @@ def simulate(anatomy: Anatomy, spec: PhantomSpec, progress: Callable[[str], None
     MeshError
         If the organ cannot be filled with elements.
     """
-    mesh = to_quadratic(_fill(anatomy, spec.element_size))
+    mesh = to_quadratic(fill(anatomy.shape, spec.element_size))
     attached = attached_nodes(mesh, anatomy)
     body = Body(mesh, mooney_rivlin(spec.youngs_modulus_pa, spec.poisson_ratio), attached)
     share = push_shares(mesh, spec.push)
@@ -106,17 +104,6 @@ def simulate(anatomy: Anatomy, spec: PhantomSpec, progress: Callable[[str], None
             f"{equilibria[-1].iterations} iterations, residual {equilibria[-1].residual:.0e}"
         )
     return Motion(times, np.stack(states), Interpolator(mesh), tuple(equilibria), forces)
-
-
-def _fill(anatomy: Anatomy, size: float) -> TetMesh:
-    """Fill the organ with tetrahedra of about `size` (m); a little smaller ones where some would be too flat."""
-    for factor in (1.0, 0.96, 0.92):
-        try:
-            surface = isosurface(anatomy.shape, *anatomy.shape.box, factor * size)
-            return tetrahedralise(surface, 1.2 * factor * size)
-        except MeshError as error:
-            problem = error
-    raise problem
 
 
 def _advance(body: Body, before: Array, now: Array, start: Array, halvings: int = 3) -> Equilibrium:

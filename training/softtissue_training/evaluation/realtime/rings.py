@@ -105,7 +105,7 @@ def _places(surface: SurfaceMesh, count: int) -> tuple[list[FloatArray], float]:
 def _write_yaml(path: Path, names: list[str]) -> None:
     source = bundled_organ()
     entries = yaml.safe_load((source / "organ.yaml").read_text(encoding="utf-8"))
-    for name in (entries["surface"], entries["attached"]["vertices"]):
+    for name in (entries["surface"], entries["tetrahedra"], entries["attached"]["vertices"]):
         shutil.copy(source / name, path.parent / name)
     entries["name"] = f"Phantom liver with {len(names)} ring{'s' if len(names) > 1 else ''}"
     entries["structures"] = [
