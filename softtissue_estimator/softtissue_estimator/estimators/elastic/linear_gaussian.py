@@ -20,9 +20,16 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
-from softtissue_estimator.estimators.elastic.relevance import Amplitudes, determine_relevance, invert_lower
+from softtissue_estimator.estimators.elastic.relevance import (
+    Amplitudes,
+    Variances,
+    determine_relevance,
+    invert_lower,
+)
 from softtissue_estimator.organ.mesh import FloatArray
 
+LEAST_FIELD_SIGMA_M = 1e-4
+"""Standard deviation of the field of errors, at least: neighbours err together by as much, however good."""
 _BLOCK_ROWS = 160  # of a triangular matrix: as many as are worth a product of their own
 
 
@@ -45,6 +52,27 @@ class ObservedNodes:
     normal: Tensor
     right: Tensor
     power: float
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """What moves observed points without moving the organ.
+
+    Parameters
+    ----------
+    columns : (n, 3, m + k) float64
+        Displacement of the nodes, m, by each unit: of m values of a field, then of k nuisance parameters with the prior
+        N(0, 1).
+    field_values : int
+        m.
+    """
+
+    columns: Tensor
+    field_values: int
+
+    def displacement(self, amplitudes: Amplitudes) -> Tensor:
+        """Mean of what they move the nodes by, (n, 3) float64 m."""
+        return self.columns @ amplitudes.errors
 
 
 def sum_up(
@@ -91,28 +119,35 @@ def equal_variances(tangent: Tangent, observed: ObservedNodes, prior_sigma_m: fl
 
 
 def condition(
-    tangent: Tangent, observed: ObservedNodes, nuisance: Tensor, variances: Tensor, updates: int
+    tangent: Tangent,
+    observed: ObservedNodes,
+    errors: Errors,
+    variances: Variances,
+    updates: int,
 ) -> tuple[Amplitudes, float]:
     """Condition the loads on an observation; also the logarithm of the evidence, with a constant of the noise alone.
 
     Parameters
     ----------
-    nuisance : (n, 3, k) float64 m
-        What moves the observed nodes without moving the organ, each with the prior N(0, 1).
-    variances : (p,) float64
-        Of the amplitudes, to start from.
+    errors : Errors
+    variances : Variances
+        To start from.
     updates : int
         How often the variances are re-estimated.
     """
     # In double precision from here on: G is as large as the square of the signal over the noise.
-    rows = torch.cat([_rows(tangent, observed).double(), nuisance.index_select(0, observed.nodes)], dim=2)
+    rows = torch.cat(
+        [_rows(tangent, observed).double(), errors.columns.index_select(0, observed.nodes)], dim=2
+    )
     count, _, rank = rows.shape
     flat = rows.reshape(3 * count, rank)
     gram = flat.T @ (observed.normal @ rows.reshape(count, 3 * rank)).reshape(3 * count, rank)
     offset = tangent.offset[observed.nodes]
     shifted = observed.normal @ offset
     right = flat.T @ (observed.right - shifted).reshape(-1)
-    amplitudes = determine_relevance(gram, right, variances, updates)
+    amplitudes = determine_relevance(
+        gram, right, variances, errors.field_values, updates, LEAST_FIELD_SIGMA_M**2
+    )
     power = observed.power + float((offset * (shifted - 2.0 * observed.right)).sum())
     return amplitudes, amplitudes.log_evidence(right, power)
 

@@ -10,6 +10,9 @@ from softtissue_estimator.organ.mesh import FloatArray
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
 PATCH_SPACING_M = 0.012
+SIZES = (1.0, 2.0)
+"""Of patches, over the finest. What pushes is as small as an instrument or as large as a hand. Were all patches fine,
+relevance determination would make a wide push narrow, and what lies under it would move too far."""
 PATCH_WIDTH_RATIO = 11.0 / 12.0  # standard deviation of a patch over the spacing
 MOST_PATCHES = 240  # on a larger organ they are spread wider
 _LEAST_RELATIVE_WEIGHT = 1e-9
@@ -21,8 +24,8 @@ _LEAST_FREE_SHARE = 0.15  # of a patch, that must not be attached
 def load_basis(mesh: VolumeMesh, attached_areas: FloatArray | None = None) -> FloatArray:
     """Nodal forces of the traction basis: unit loads, (n, p); each column sums to one.
 
-    Gaussian patches about points of the surface that are spread evenly, at most `MOST_PATCHES`, and last the weight of
-    the organ. Nothing pushes where the organ is attached.
+    Gaussian patches of each of the `SIZES` about points of the surface that are spread evenly, at most `MOST_PATCHES`
+    of a size, and last the weight of the organ. Nothing pushes where the organ is attached.
 
     Parameters
     ----------
@@ -32,12 +35,8 @@ def load_basis(mesh: VolumeMesh, attached_areas: FloatArray | None = None) -> Fl
     """
     areas = nodal_areas(mesh)
     surface = np.flatnonzero(areas > 0.0)
-    points = mesh.nodes[surface]
-    centres, spacing = _spread(points)
-    squared = ((points[:, None] - points[centres]) ** 2).sum(axis=2)
-    weight = np.exp(-squared / (2.0 * (PATCH_WIDTH_RATIO * spacing) ** 2))
-    weight[weight < _LEAST_RELATIVE_WEIGHT] = 0.0
-    patches = np.zeros((len(mesh.nodes), len(centres)))
+    weight = _patches(mesh.nodes[surface])
+    patches = np.zeros((len(mesh.nodes), weight.shape[1]))
     patches[surface] = weight * areas[surface, None]
     whole = patches.sum(axis=0)
     if attached_areas is not None:
@@ -48,12 +47,26 @@ def load_basis(mesh: VolumeMesh, attached_areas: FloatArray | None = None) -> Fl
     return np.ascontiguousarray(np.column_stack([patches[:, kept] / free[kept], volumes / volumes.sum()]))
 
 
-def _spread(points: FloatArray) -> tuple[list[int], float]:
+def _patches(points: FloatArray) -> FloatArray:
+    """Weights (n, k) of points of the surface (n, 3) m in each patch, 1 in its middle."""
+    sizes = []
+    spacing = PATCH_SPACING_M
+    for size in SIZES:
+        centres, apart = _spread(points, size * spacing)
+        spacing = max(spacing, apart / size)  # of a large organ
+        squared = ((points[:, None] - points[centres]) ** 2).sum(axis=2)
+        weight = np.exp(-squared / (2.0 * (PATCH_WIDTH_RATIO * size * spacing) ** 2))
+        weight[weight < _LEAST_RELATIVE_WEIGHT] = 0.0
+        sizes.append(weight)
+    return np.concatenate(sizes, axis=1)
+
+
+def _spread(points: FloatArray, spacing: float) -> tuple[list[int], float]:
     """Choose points (n, 3) m, each as far as possible from those before; and how far apart they are at least, m."""
     distance = ((points - points.mean(axis=0)) ** 2).sum(axis=1)
     chosen = [int(distance.argmax())]
     nearest = ((points - points[chosen[0]]) ** 2).sum(axis=1)
-    while nearest.max() >= PATCH_SPACING_M**2 and len(chosen) < MOST_PATCHES:
+    while nearest.max() >= spacing**2 and len(chosen) < MOST_PATCHES:
         chosen.append(int(nearest.argmax()))
         nearest = np.minimum(nearest, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
-    return chosen, max(PATCH_SPACING_M, float(np.sqrt(nearest.max())))
+    return chosen, max(spacing, float(np.sqrt(nearest.max())))

@@ -1,6 +1,6 @@
 """What is known of an organ after an observation, and what of it helps with the next one."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -8,7 +8,7 @@ from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
-from softtissue_estimator.estimators.elastic.relevance import Amplitudes
+from softtissue_estimator.estimators.elastic.relevance import Amplitudes, Variances
 from softtissue_estimator.organ.mesh import FloatArray
 
 MOST_RELEVANT_LOADS = 40
@@ -48,6 +48,16 @@ class Posterior:
     registration: RegistrationError
     hidden_variance: Tensor | None = None
 
+    def with_relevant_loads(self) -> "Posterior":
+        """Return the same with the loads alone that a frame considers which follows this one."""
+        variances = self.amplitudes.variances
+        count = min(MOST_RELEVANT_LOADS, len(variances))
+        relevant = torch.topk(variances, count).indices.sort().values
+        columns = (3 * relevant[:, None] + torch.arange(3, device=relevant.device)).reshape(-1)
+        whole = self.tangent
+        tangent = Tangent(whole.state, whole.offset, whole.response[:, columns].contiguous())
+        return replace(self, tangent=tangent, amplitudes=self.amplitudes.with_loads(relevant))
+
     @property
     def registration_after(self) -> RegistrationError:
         """What is known of the registration afterwards."""
@@ -56,7 +66,7 @@ class Posterior:
     @property
     def nuisance_covariance(self) -> FloatArray:
         """Of the nuisance parameters, (k, k)."""
-        begin = 3 * len(self.amplitudes.variances)
+        begin = len(self.amplitudes.mean) - len(self.amplitudes.nuisance)
         inverse = np.linalg.inv(self.amplitudes.factor[begin:, begin:].cpu().numpy())
         return np.asarray(inverse.T @ inverse)
 
@@ -75,9 +85,9 @@ class WarmStart:
     ----------
     tangent : Tangent
         With the response to the relevant loads alone.
-    variances : (k,) float64
-        Of these loads.
-    all_variances : (p,) float64
+    variances : Variances
+        Of these loads, and of the field of errors.
+    all_variances : Variances
         Of all loads.
     model_sigma_m : float
     ratio : int
@@ -86,8 +96,8 @@ class WarmStart:
     """
 
     tangent: Tangent
-    variances: Tensor
-    all_variances: Tensor
+    variances: Variances
+    all_variances: Variances
     model_sigma_m: float
     ratio: int
     hidden_variance: Tensor | None = None
@@ -95,11 +105,13 @@ class WarmStart:
 
 def warm_start(posterior: Posterior, hidden_variance: Tensor | None = None) -> WarmStart:
     """Keep of a posterior over all loads, and of `Solver.hidden_variance`, what the next observation needs."""
-    variances = posterior.amplitudes.variances
-    relevant = torch.topk(variances, min(MOST_RELEVANT_LOADS, len(variances))).indices.sort().values
-    columns = (3 * relevant[:, None] + torch.arange(3, device=variances.device)).reshape(-1)
-    whole = posterior.tangent
-    tangent = Tangent(whole.state, whole.offset, whole.response[:, columns].contiguous())
+    relevant = posterior.with_relevant_loads()
+    amplitudes = posterior.amplitudes
     return WarmStart(
-        tangent, variances[relevant], variances, posterior.model_sigma_m, posterior.ratio, hidden_variance
+        relevant.tangent,
+        relevant.amplitudes.prior,
+        amplitudes.prior,
+        posterior.model_sigma_m,
+        posterior.ratio,
+        hidden_variance,
     )

@@ -10,6 +10,8 @@ import numpy as np
 from softtissue_estimator.estimators.elastic.posterior import Posterior
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 
+DOUBT_FACTOR, MOST_DOUBLINGS, LEAST_GAIN = 4.0, 1, 10.0
+"""By how much a surprising registration is doubted, how often, and which gain of the log-evidence warrants it."""
 MOST_STEPS = 4  # that wait for the correction to settle
 SETTLED_M = (
     0.0005  # a correction that moves by less changes what the organ's bending explains by a tenth of that
@@ -21,6 +23,9 @@ class Explaining(Protocol):
 
     def start(self, registration: RegistrationError) -> Posterior:
         """See `Solver.start`."""
+
+    def with_registration(self, posterior: Posterior, registration: RegistrationError) -> Posterior:
+        """See `Solver.with_registration`."""
 
     def improve(self, posterior: Posterior, *, guarded: bool) -> Posterior:
         """See `Solver.improve`."""
@@ -40,6 +45,16 @@ def likeliest(solver: Explaining, found: Sequence[Posterior]) -> Posterior:
     # With the same error of the model: a larger one would excuse what is left unexplained.
     sigma = min(posterior.model_sigma_m for posterior in found)
     return max(found, key=lambda posterior: solver.evidence_with(posterior, sigma))
+
+
+def unfettered(solver: Explaining, posterior: Posterior) -> Posterior:
+    """Suppose a registration that is less sure, where the observation moved it so far that this is likelier."""
+    for _ in range(MOST_DOUBLINGS):
+        wider = solver.with_registration(posterior, posterior.registration.scaled(DOUBT_FACTOR))
+        if wider.log_evidence < posterior.log_evidence + LEAST_GAIN:
+            break
+        posterior = wider
+    return posterior
 
 
 def settled(solver: Explaining, posterior: Posterior) -> Posterior:

@@ -9,8 +9,10 @@ import torch
 from scipy.sparse import csr_array
 from torch import Tensor
 
+from softtissue_estimator.estimators.elastic import smooth_error
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent, to_tensor
 from softtissue_estimator.estimators.elastic.linear_gaussian import (
+    Errors,
     ObservedNodes,
     condition,
     equal_variances,
@@ -23,6 +25,7 @@ from softtissue_estimator.estimators.elastic.plausibility import plausible_fit
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest, settled
+from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.observation.patch_average import ObservedPatches, student_weights
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import FloatArray
@@ -31,6 +34,7 @@ MOST_RATIO_CHANGES = 2
 """Of Poisson's ratio: each makes a step, and one more for every ratio that is tried."""
 VARIANCE_UPDATES = 5  # of the loads, a step
 FIRST_MODEL_SIGMA_M = 0.002  # error of the model in the first step, before there is a residual that shows it
+FIRST_FIELD_SIGMA_M = 0.0005  # of the field of errors, before the evidence tells it
 MOST_MODEL_SIGMA_M = 0.003
 """Largest error of the model that is taken from a residual; implausible answers alone are fitted with larger ones."""
 # Neighbouring patches share the error of the model, so that many of them tell hardly more than one: the error that is
@@ -77,6 +81,7 @@ class Solver:
         self._model, self._patches, self._registration = model, patches, registration
         self._positions = patches.reference + patches.displacement
         self._prior_sigma_m, self._least_sigma_m = prior_sigma_m, model_sigma_m
+        self._field = smooth_error.columns(model.nodes, patches.reference)
         self._interpolation: csr_array = model.surface_interpolation(patches.reference)
         nodes = model.mesh.nodes
         self._moved = to_tensor(motion.apply(nodes) - nodes, model.device)
@@ -112,12 +117,20 @@ class Solver:
         return self._explain(
             posterior.tangent,
             posterior.registration,
-            posterior.amplitudes.variances,
+            posterior.amplitudes.prior,
             sigma,
             weight,
             0,
             posterior.ratio,
         ).log_evidence
+
+    def with_registration(self, posterior: Posterior, registration: RegistrationError) -> Posterior:
+        """Explain the observation again, linear about the same state, with another registration supposed."""
+        sigma = posterior.model_sigma_m
+        weight = self._weights(self.residual(posterior), sigma)
+        return self._explain(
+            posterior.tangent, registration, posterior.amplitudes.prior, sigma, weight, 1, posterior.ratio
+        )
 
     def follow(self, start: WarmStart) -> Posterior | None:
         """Explain the observation about the state of an earlier one, in a few milliseconds.
@@ -175,7 +188,7 @@ class Solver:
     def improve(
         self,
         posterior: Posterior,
-        variances: Tensor | None = None,
+        variances: Variances | None = None,
         *,
         guarded: bool,
         ratio: int | None = None,
@@ -187,8 +200,8 @@ class Solver:
         ----------
         posterior : Posterior
             From which to go on.
-        variances : (p,) float64 or None
-            Of all loads; those of `posterior` by default.
+        variances : Variances or None
+            Of all loads and of the field of errors; those of `posterior` by default.
         guarded : bool
             Whether to stop short of collapsing elements.
         ratio : int or None
@@ -199,7 +212,7 @@ class Solver:
         if registration is None:
             registration = posterior.registration.moved_by(posterior.registration_step)
         ratio = posterior.ratio if ratio is None else ratio
-        variances = posterior.amplitudes.variances if variances is None else variances
+        variances = posterior.amplitudes.prior if variances is None else variances
         residual = self.residual(posterior)
         weight = self._weights(residual, posterior.model_sigma_m)
         body = self._model.body
@@ -214,7 +227,7 @@ class Solver:
 
     def residual(self, posterior: Posterior) -> FloatArray:
         """Return the observed displacement of each patch minus the mean, (c, 3) m."""
-        shift = self._nuisance(posterior.tangent, posterior.registration) @ posterior.amplitudes.nuisance
+        shift = self._errors(posterior.tangent, posterior.registration).displacement(posterior.amplitudes)
         expected = self._interpolation @ (posterior.mean + shift).cpu().numpy()
         return np.asarray(self._displacement(posterior.registration) - expected)
 
@@ -222,9 +235,10 @@ class Solver:
         """Observed displacement of each patch with what is supposed of the registration taken out, (c, 3) m."""
         return registration.corrected(self._positions) - self._patches.reference
 
-    def _nuisance(self, tangent: Tangent, registration: RegistrationError) -> Tensor:
-        """Displacement of the nodes by one standard deviation of each nuisance parameter, (n, 3, k) m."""
-        return registration.columns(self._model.nodes + tangent.state)
+    def _errors(self, tangent: Tangent, registration: RegistrationError) -> Errors:
+        """Return what moves the observed points without moving the organ."""
+        pose = registration.columns(self._model.nodes + tangent.state)
+        return Errors(torch.cat([self._field, pose], dim=2), self._field.shape[2])
 
     def deviation(self, posterior: Posterior) -> FloatArray:
         """Return the standard deviation of each component at the nodes, (n,) m."""
@@ -238,14 +252,15 @@ class Solver:
         return np.asarray(variance.sqrt().cpu().numpy(), dtype=np.float64)
 
     def hidden_variance(self, posterior: Posterior) -> Tensor:
-        """Return what the loads that relevance determination pruned add to the nodes' variance, (n,) m^2.
+        """Return what the loads that the next frame leaves out add to the nodes' variance, (n,) m^2.
 
         Parameters
         ----------
         posterior : Posterior
             With all loads.
         """
-        found = standard_deviation(posterior.tangent, posterior.amplitudes)
+        relevant = posterior.with_relevant_loads()
+        found = standard_deviation(relevant.tangent, relevant.amplitudes)
         return (self._doubting_variance(posterior) - found.square()).clamp_min(0.0)
 
     def _doubting_variance(self, posterior: Posterior) -> Tensor:
@@ -262,7 +277,7 @@ class Solver:
         self,
         tangent: Tangent,
         registration: RegistrationError,
-        variances: Tensor | None,
+        variances: Variances | None,
         sigma: float,
         weight: FloatArray,
         updates: int,
@@ -271,9 +286,10 @@ class Solver:
         precision = weight * self._patches.precision_with(sigma)
         observed = self._observed(registration, precision)
         if variances is None:
-            variances = equal_variances(tangent, observed, self._prior_sigma_m)
+            loads = equal_variances(tangent, observed, self._prior_sigma_m)
+            variances = Variances(loads, loads.new_tensor(FIRST_FIELD_SIGMA_M**2))
         amplitudes, evidence = condition(
-            tangent, observed, self._nuisance(tangent, registration), variances, updates
+            tangent, observed, self._errors(tangent, registration), variances, updates
         )
         evidence += 1.5 * float(np.log(precision).sum()) + self._model.ratios.log_probability[ratio]
         mean = mean_displacement(tangent, amplitudes)

@@ -5,8 +5,6 @@ both, and waited for where it is not ready: the same stream gives the same answe
 """
 
 import logging
-import os
-import sys
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -16,7 +14,8 @@ import torch
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart, warm_start
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
-from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest
+from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest, unfettered
+from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.inference.device import one_thread
 
@@ -24,17 +23,20 @@ _log = logging.getLogger(__name__)
 STEP_S = 0.3
 """Between an observation and the one that takes over the step that the thread made about it: half as much again as that
 takes on two idle cores."""
-_FIRST_STEPS = 4  # of these in the first step about a rigid motion
+_LEAST_FRAMES = 3  # that are answered with a step at least: on a busy machine frames wait for it
+_FIRST_STEPS = 2  # of these in the first step about a rigid motion
 UNSTAMPED_S = 0.1  # between two observations that do not say when they were made
 _JITTER_S = 0.01  # of stamps
 _LEAST_VARIANCE_SHARE = 1e-3  # of the largest: with less no load starts a step of the thread
+_CATCHING_UP_STEPS = 4  # after a start, of which nothing is learned about the registration's constancy
+_STEPS_PER_HIDDEN_VARIANCE = 3  # which changes slowly and takes as long as a fifth of a step
+_THREADS = 3  # at most: several sizes of the registration's error are tried at once
 _STEPS_PER_RATIO_TRIAL = 4  # of the thread, which tries another Poisson's ratio in one of them
 _LEAST_LOG_EVIDENCE_GAIN = 1.0  # from which on another ratio is taken: a smaller one may be noise
 _STILL_DISTANCE_M = 0.001  # an organ that has moved by less since it was made linear is so nearly enough
 _SETTLED_STEPS = 12  # of the thread about a still organ; every ratio nearby is tried in as many
 _STILL_REFRESH_S = 1.0  # after which it makes another: the observed part of a still organ may change
 _START_VARIANCE_UPDATES = 2  # of all loads; the thread makes more
-_BACKGROUND_NICENESS = 10  # of the thread: frames come first
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,24 +48,24 @@ class _Task:
     solver : Solver
     posterior : Posterior
         From which to go on.
-    variances : (p,) float64
+    variances : Variances
         Of all loads.
     rigid : bool
         Whether that is about a rigid motion.
     ratio : int or None
         Poisson's ratio to suppose; that of `posterior` where it is not known.
-    ratio_step : int
-        From this ratio to another one that is to be tried, too; 0 for none.
+    number : int
+        Of steps since the organ was linear about a rigid motion.
     registration : RegistrationFilter
     stamp_s : float
     """
 
     solver: Solver
     posterior: Posterior
-    variances: torch.Tensor
+    variances: Variances
     rigid: bool
     ratio: int | None
-    ratio_step: int
+    number: int
     registration: RegistrationFilter
     stamp_s: float
 
@@ -115,10 +117,13 @@ class ElasticTracker:
         self._memory = _Memory()
         self._registration: RegistrationFilter | None = None
         self._pending: tuple[_Task, Future[tuple[Posterior, WarmStart]]] | None = None
-        self._stamp_s = 0.0
+        self._stamp_s, self._frames = (
+            0.0,
+            0,
+        )  # of the newest observation; since the thread was given something
         self._closed = False
         # Threads of an executor are waited for when the interpreter ends: torch aborts where one is cut off.
-        self._executor = ThreadPoolExecutor(1, "tracker", initializer=_step_back)
+        self._executor = ThreadPoolExecutor(_THREADS, "tracker")
 
     def registration(self, expected: RegistrationError) -> RegistrationError:
         """Return what is known of the registration before the next frame."""
@@ -137,8 +142,9 @@ class ElasticTracker:
         """
         with self._lock:
             self._stamp_s = self._stamp_s + UNSTAMPED_S if stamp_s is None else stamp_s
+            self._frames += 1
             pending = self._pending
-            if pending is None or not _is_due(pending[0], self._stamp_s):
+            if pending is None or not _is_due(pending[0], self._stamp_s, self._frames):
                 return
         task, future = pending
         try:
@@ -176,13 +182,12 @@ class ElasticTracker:
         if posterior is None or earlier is None:
             before_loss = memory.before_loss if memory.rigid else earlier
             posterior, state = self._start(solver)
-            variances = posterior.amplitudes.variances
+            variances = posterior.amplitudes.prior
             memory = replace(memory, state=state, rigid=True, before_loss=before_loss)
             still = False
         else:
             # Loads that have become irrelevant get a little back, so that a new one can be found.
-            floor = _LEAST_VARIANCE_SHARE * float(earlier.all_variances.max())
-            variances = earlier.all_variances.clamp_min(floor)
+            variances = earlier.all_variances.at_least(_LEAST_VARIANCE_SHARE)
             still = not memory.rigid and _distance(posterior.mean, earlier.tangent.state) < _STILL_DISTANCE_M
         if not still:
             memory = replace(memory, settled=0)
@@ -195,7 +200,7 @@ class ElasticTracker:
         registration: RegistrationFilter | None,
         solver: Solver,
         posterior: Posterior,
-        variances: torch.Tensor,
+        variances: Variances,
         still: bool,
     ) -> None:
         """Remember, and give the thread something to do where it has nothing and the organ moves."""
@@ -207,11 +212,17 @@ class ElasticTracker:
             if self._closed or self._pending is not None or (still and rests):
                 return
             self._memory = replace(memory, steps=0 if memory.rigid else memory.steps + 1)
-            step = _ratio_step(self._memory.steps)
             task = _Task(
-                solver, posterior, variances, memory.rigid, memory.ratio, step, registration, self._stamp_s
+                solver,
+                posterior,
+                variances,
+                memory.rigid,
+                memory.ratio,
+                self._memory.steps,
+                registration,
+                self._stamp_s,
             )
-            self._pending = task, self._executor.submit(self._improve, task)
+            self._pending, self._frames = (task, self._executor.submit(self._improve, task)), 0
 
     def _start(self, solver: Solver) -> tuple[Posterior, WarmStart]:
         """Explain an observation about its rigid motion; what comes next follows this answer, which takes long."""
@@ -246,21 +257,27 @@ class ElasticTracker:
     def _improve(self, task: _Task) -> tuple[Posterior, WarmStart]:
         with one_thread():
             better = self._improved(task)
-            return better, warm_start(better, task.solver.hidden_variance(better))
+            hidden = task.posterior.hidden_variance
+            if hidden is None or task.number % _STEPS_PER_HIDDEN_VARIANCE == 0:
+                hidden = task.solver.hidden_variance(better)
+            return better, warm_start(better, hidden)
 
     def _improved(self, task: _Task) -> Posterior:
         known, solver = task.registration, task.solver
         if task.rigid:
             # The first step about a rigid motion: how exact the registration is must be found out, too.
-            found: list[Posterior] = []
-            for scale in known.scales:
-                if found and self._closed:
-                    break
-                found.append(explained(solver, known.supposed, scale))
-            return likeliest(solver, found)
+            others = [
+                self._executor.submit(_explained_alone, solver, known.supposed, scale)
+                for scale in known.scales[1:]
+            ]
+            found = [explained(solver, known.supposed, known.scales[0])]
+            return likeliest(solver, found + [other.result() for other in others])
         better = self._step(task, task.ratio)
-        if task.ratio_step and better.ratio + task.ratio_step in solver.ratios:
-            other = self._step(task, better.ratio + task.ratio_step)
+        if task.number > _CATCHING_UP_STEPS:
+            better = unfettered(solver, better)
+        ratio_step = _ratio_step(task.number)
+        if ratio_step and better.ratio + ratio_step in solver.ratios:
+            other = self._step(task, better.ratio + ratio_step)
             if other.log_evidence > better.log_evidence + _LEAST_LOG_EVIDENCE_GAIN:
                 better = other
         return better
@@ -275,24 +292,24 @@ class ElasticTracker:
         )
 
 
+def _explained_alone(solver: Solver, registration: RegistrationError, scale: float) -> Posterior:
+    with one_thread():
+        return explained(solver, registration, scale)
+
+
 def _ratio_step(number: int) -> int:
     """Return towards which other Poisson's ratio a step of the thread looks, 1 or -1; most look at none, 0."""
     trial, remainder = divmod(number, _STEPS_PER_RATIO_TRIAL)
     return 0 if remainder or not trial else (1, -1)[(trial - 1) % 2]
 
 
-def _is_due(task: _Task, stamp_s: float) -> bool:
-    """Tell whether an observation made at a time takes over what the thread makes of an earlier one."""
-    steps = _FIRST_STEPS if task.rigid else 1 + abs(task.ratio_step)
+def _is_due(task: _Task, stamp_s: float, frames: int) -> bool:
+    """Tell whether an observation, so many frames after another one, takes over what the thread makes of that."""
+    steps = _FIRST_STEPS if task.rigid else 1 + abs(_ratio_step(task.number))
     passed_s = stamp_s - task.stamp_s
-    return passed_s < 0.0 or passed_s > steps * STEP_S - _JITTER_S
-
-
-def _step_back() -> None:
-    """Let other threads of the process come first."""
-    if sys.platform == "linux":
-        # There, and only there, a thread has a priority of its own.
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _BACKGROUND_NICENESS)
+    # Where few frames are answered, each step serves some of them; stamps may stand still or go back.
+    enough = frames >= _LEAST_FRAMES
+    return enough and not 0.0 < passed_s < steps * STEP_S - _JITTER_S
 
 
 def _distance(first: torch.Tensor, second: torch.Tensor) -> float:

@@ -221,9 +221,10 @@ def test_what_is_forgotten_does_not_come_back(stream):
 def test_a_closed_estimator_leaves_no_thread(stream):
     before = set(threading.enumerate())
     stream.estimate(observed(1.0))
-    (own,) = set(threading.enumerate()) - before
+    own = set(threading.enumerate()) - before
+    assert own
     stream.close()
-    until(lambda: not own.is_alive())
+    until(lambda: not any(thread.is_alive() for thread in own))
 
 
 def test_registration_found_out_is_kept_although_frames_come_while_the_thread_works(stream, monkeypatch):

@@ -1,0 +1,55 @@
+"""Error that neighbouring points share: of a sensor that sees a surface bent, or of matches that slid along it.
+
+A displacement b(x) of observed points that is none of the organ: a Gaussian field with the covariance
+v exp(-|x - x'|^2 / 2 l^2) I_3, represented by its values at centres that are spread over what is seen. Its variance v
+is a property of tracker and sensor that nobody states: the evidence tells it (`relevance`).
+"""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from softtissue_estimator.organ.mesh import FloatArray
+
+LENGTH_M = 0.025
+"""l: millimetres of the error are shared by about this much of a liver's surface, by a stereo camera's matches as by a
+tracker's features."""
+SPACING_M = 0.020  # of centres
+MOST_CENTRES = 60  # where more is seen they are spread wider
+_JITTER = (
+    1e-6  # variance of a value at a centre beside its neighbours', over v: keeps their covariance regular
+)
+
+
+def columns(positions: Tensor, seen: FloatArray) -> Tensor:
+    """Displacement (n, 3, 3 k) of positions by one standard deviation of each independent part of the field, v = 1.
+
+    Parameters
+    ----------
+    positions : (n, 3) float64 m
+    seen : (c, 3) m
+        Where the organ is observed; at least one place.
+    """
+    centres = torch.from_numpy(_spread(seen)).to(positions.device)
+    among = _covariance(centres, centres)
+    among.diagonal().add_(_JITTER)
+    factor = torch.linalg.cholesky(among)
+    values = torch.linalg.solve_triangular(factor, _covariance(centres, positions), upper=False).T
+    identity = torch.eye(3, dtype=positions.dtype, device=positions.device)
+    by_centre: Tensor = values[:, None, :, None] * identity[None, :, None, :]
+    return by_centre.reshape(len(positions), 3, -1)
+
+
+def _covariance(first: Tensor, second: Tensor) -> Tensor:
+    covariance: Tensor = torch.exp(-torch.cdist(first, second).square() / (2.0 * LENGTH_M**2))
+    return covariance
+
+
+def _spread(points: FloatArray) -> FloatArray:
+    """Choose some of the points (c, 3) m, each as far as possible from those before."""
+    chosen = [int(np.square(points - points.mean(axis=0)).sum(axis=1).argmin())]
+    nearest = np.square(points - points[chosen[0]]).sum(axis=1)
+    while nearest.max() > SPACING_M**2 and len(chosen) < MOST_CENTRES:
+        chosen.append(int(nearest.argmax()))
+        np.minimum(nearest, np.square(points - points[chosen[-1]]).sum(axis=1), out=nearest)
+    return np.asarray(points[chosen])
