@@ -151,7 +151,7 @@ def test_a_patch_is_off_by_one_vector_from_the_first_frame_on(stream):
         places.append(stream.reference[number][wrong])
     # The same place of the organ, of which every frame sees other points.
     middles = np.array([one.mean(axis=0) for one in places])
-    assert lengths(middles - middles[0]).max() < 0.006 < 0.1 * np.ptp(stream.reference[0], axis=0).sum()
+    assert lengths(middles - middles[0]).max() < 0.006 < 0.1 * np.ptp(stream.inner, axis=0).sum()
 
 
 def test_strayed_matches_are_off_by_four_millimetres_smoothly(stream):
@@ -232,6 +232,8 @@ def test_conditions_are_counted_over_the_last_three_quarters(finished, stream):
         assert one["frames"] == 6 * poses and one["answered"] == 1.0
         assert one["errors"]["mean_mm"] == pytest.approx(moved.mean(), rel=1e-5)
         assert one["errors"]["max_mm"] == pytest.approx(moved.max(), rel=1e-5)
+        assert [marker["mean_mm"] for marker in one["markers"]] == pytest.approx(moved.mean(axis=0), rel=1e-5)
+        assert one["markers"][0]["sigma_mm"] is None
         assert len(one.get("poses", [])) == (poses if poses > 1 else 0)
         assert f"| `{condition}` |" in shown
     turned = found["rigid"]["registration_5"]

@@ -77,6 +77,11 @@ def spread(found: Summary | None) -> str:
     return " / ".join(f"{found[name]:.1f}" for name in ("mean_mm", "p95_mm", "max_mm"))
 
 
+def milliseconds(time: Summary | None) -> str:
+    """Median and 95 % quantile of a time."""
+    return "-" if time is None else f"{time['median']:.0f} / {time['p95']:.0f}"
+
+
 def _every_frame(rows: Summary) -> str:
     header = [
         "condition",
@@ -118,10 +123,8 @@ def _cells(row: Summary) -> list[str]:
         *calibration,
         f"{row['answered']:.1%}",
         "not said" if row["degraded"] is None else f"{row['degraded']:.1%}",
-        *(
-            "-" if time is None else f"{time['median']:.0f} / {time['p95']:.0f}"
-            for time in (row["time_ms"], row["processor_ms"])
-        ),
+        milliseconds(row["time_ms"]),
+        milliseconds(row["processor_ms"]),
     ]
 
 

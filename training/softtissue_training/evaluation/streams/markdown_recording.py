@@ -15,7 +15,7 @@ from softtissue_training.evaluation.streams.aims import (
     MOST_SIGMA_OVER_ERROR,
     WRONG_OVER_EXACT,
 )
-from softtissue_training.evaluation.streams.markdown import failures, spread
+from softtissue_training.evaluation.streams.markdown import failures, milliseconds, spread
 
 Summary = Mapping[str, Any]
 
@@ -79,6 +79,7 @@ def _table(summary: Summary, label: str) -> str:
         "answered",
         "DEGRADED",
         "ms, median / 95 %",
+        "of processor time",
         "missed",
     ]
     rows: list[list[str]] = []
@@ -92,7 +93,7 @@ def _table(summary: Summary, label: str) -> str:
 
 
 def _cells(row: Summary, aim: Summary) -> list[str]:
-    found, time = row["calibration"], row["time_ms"]
+    found = row["calibration"]
     low, high = aim["rms_z"]
     return [
         spread(row["errors"]),
@@ -103,5 +104,6 @@ def _cells(row: Summary, aim: Summary) -> list[str]:
         "-" if found is None else f"{found['sigma_over_rms_error']:.2f}",
         f"{row['answered']:.1%}",
         "not said" if row["degraded"] is None else f"{row['degraded']:.1%}",
-        "-" if time is None else f"{time['median']:.0f} / {time['p95']:.0f}",
+        milliseconds(row["time_ms"]),
+        milliseconds(row["processor_ms"]),
     ]

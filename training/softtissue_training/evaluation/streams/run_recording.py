@@ -9,6 +9,9 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_training.evaluation.benchmark.machine import busy_cores
 from softtissue_training.evaluation.methods import MethodSpec
@@ -22,6 +25,8 @@ from softtissue_training.evaluation.streams.recording import Recording, bag_dige
 from softtissue_training.evaluation.streams.run import about_run
 from softtissue_training.evaluation.streams.sources import RecordingSource
 from softtissue_training.evaluation.streams.store import STREAMS_VERSION
+
+Float32Array = NDArray[np.float32]
 
 SUMMARY, REPORT = "bag.json", "bag.md"
 SKIPPED_SHARE = 0.25
@@ -95,8 +100,25 @@ def _rows(job: StreamJob) -> dict[str, dict[str, Any]]:
                 "poses": poses,
                 "worst_pose": max(range(len(poses)), key=lambda i: _mean(poses[i])),
             }
+        rows[condition]["markers"] = _by_marker(several)
         rows[condition]["missed"] = missed(condition, rows[condition])
     return rows
+
+
+def _by_marker(several: Sequence[Shown]) -> list[dict[str, float | None]]:
+    """Mean error and mean sigma of each marker, mm; None where there is none."""
+    counted = [one.counted(1) & one.answers.answered for one in several]
+    error = np.concatenate([one.answers.error[rows] for one, rows in zip(several, counted, strict=True)])
+    sigma = np.concatenate([one.answers.sigma[rows] for one, rows in zip(several, counted, strict=True)])
+    lengths = np.linalg.norm(error, axis=2)
+    return [
+        {"mean_mm": _millimetres(lengths[:, marker]), "sigma_mm": _millimetres(sigma[:, marker])}
+        for marker in range(error.shape[1])
+    ]
+
+
+def _millimetres(values: Float32Array) -> float | None:
+    return None if len(values) == 0 or np.isnan(values).any() else 1e3 * float(values.mean())
 
 
 def _mean(row: dict[str, Any]) -> float:
