@@ -12,18 +12,18 @@ from fuzz.kinds import KINDS, inputs_of
 from softtissue_estimator.errors import InvalidInputError
 
 SEED = 20
-# A few seconds each.
+# A second or two each.
 SAMPLES = {
-    "meshes": 400,
-    "library meshes": 60,
-    "tetrahedra": 30,
-    "yaml files": 300,
-    "tables": 600,
-    "cached files": 300,
-    "weights": 150,
-    "bags": 100,
-    "messages": 100,
-    "over DDS": 3,
+    "meshes": 150,
+    "library meshes": 25,
+    "tetrahedra": 15,
+    "yaml files": 120,
+    "tables": 250,
+    "cached files": 120,
+    "weights": 60,
+    "bags": 40,
+    "messages": 50,
+    "over DDS": 2,
 }
 
 

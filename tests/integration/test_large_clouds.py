@@ -19,7 +19,7 @@ from recorded_data import RECORDED
 from ros_domain import environment_of
 from softtissue_estimator.ros.inputs.watchdog import TRANSPORT_HINT
 
-SOAK_S = float(os.environ.get("SOFTTISSUE_SOAK_S", "10"))
+SOAK_S = float(os.environ.get("SOFTTISSUE_SOAK_S", "5"))
 RATE_HZ = 10.0
 stamps = itertools.count(1_700_000_000_000_000_000, 100_000_000)
 
@@ -121,7 +121,7 @@ while publisher.get_subscription_count() == 0:
     time.sleep(0.05)
 fields = [PointField(name=n, offset=4 * i, datatype=7, count=1) for i, n in enumerate("xyz")]
 cloud = PointCloud2(height=1, width=100_000, point_step=16, row_step=1_600_000, fields=fields, data=bytes(1_600_000))
-for number in range(60):
+for number in range(30):
     cloud.header.stamp.sec = number + 1
     publisher.publish(cloud)
     time.sleep(0.1)
@@ -140,4 +140,4 @@ def test_clouds_lost_for_want_of_the_profile_are_noticed(folder, tmp_path, domai
         arrived = {nanoseconds(s.header.stamp) for s in client.statuses} - {0}
         # A quick machine may pass (nearly) all of them by UDP; then there is nothing to notice.
         told = TRANSPORT_HINT in node.text
-        assert told or len(arrived) >= 55, f"{len(arrived)} of 60 arrived:\n{node.text}"
+        assert told or len(arrived) >= 27, f"{len(arrived)} of 30 arrived:\n{node.text}"

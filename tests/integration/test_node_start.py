@@ -18,22 +18,16 @@ def folder(tmp_path_factory):
 def damaged_organ(folder: Path, case: str) -> Path:
     if case == "no folder":
         return folder / "nowhere"
-    if case == "wrong unit":
-        return write_organ(folder, unit="m")
     write_organ(folder)
-    if case == "missing mesh":
-        (folder / "tumour.ply").unlink()
-    else:
-        (folder / "surface.ply").write_bytes(b"not a mesh")
+    (folder / "surface.ply").write_bytes(b"not a mesh")
     return folder
 
 
 @pytest.mark.parametrize(
     ("case", "words"),
     [
+        # Of what can be wrong with an organ (tests/estimator/organ) one when it is described, and one when it is read.
         ("no folder", ["nowhere", "organ.yaml"]),
-        ("wrong unit", ["unit"]),
-        ("missing mesh", ["tumour.ply"]),
         ("damaged mesh", ["surface.ply"]),
     ],
 )
@@ -61,19 +55,16 @@ def write_checkpoint_of_another_architecture(path):
         ({"estimator": "magic"}, ["estimator", "'magic'", "elastic"]),
         ({"frame_budget_s": -1.0}, ["frame_budget_s", "-1"]),
         ({"minimum_points": "many"}, ["minimum_points", "many"]),
-        ({"estimator": "paper", "checkpoint": "{tmp}/nowhere.safetensors"}, ["nowhere.safetensors"]),
-        ({"estimator": "paper", "checkpoint": "{tmp}/damaged.safetensors"}, ["damaged.safetensors"]),
         (
             {"estimator": "paper", "checkpoint": "{tmp}/other.safetensors"},
             ["other.safetensors", "architecture"],
         ),
     ],
-    ids=["estimator", "range", "type", "no checkpoint", "damaged checkpoint", "other architecture"],
+    ids=["estimator", "range", "type", "other architecture"],
 )
 def test_wrong_parameter_at_start_is_one_sentence_and_exit_code_2(
     folder, tmp_path, parameters, words, domain
 ):
-    (tmp_path / "damaged.safetensors").write_bytes(b"\x10\x00\x00\x00\x00\x00\x00\x00{broken")
     write_checkpoint_of_another_architecture(tmp_path / "other.safetensors")
     given = {name: str(value).format(tmp=tmp_path) for name, value in parameters.items()}
     with NodeProcess(domain, tmp_path, {"organ": folder} | given) as node:

@@ -26,9 +26,9 @@ from integration.harness import (
     write_organ,
 )
 
-SOAK_S = float(os.environ.get("SOFTTISSUE_SOAK_S", "10"))
+SOAK_S = float(os.environ.get("SOFTTISSUE_SOAK_S", "5"))
 RATE_HZ = 60.0
-ASKING_S = 4.0
+ASKING_S = 2.5
 
 
 @pytest.fixture(scope="module")

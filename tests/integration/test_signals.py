@@ -14,7 +14,7 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 
 from integration.signal_pairs import try_pairs
 
-PAIRS = int(os.environ.get("SIGNAL_PAIRS", "4"))
+PAIRS = int(os.environ.get("SIGNAL_PAIRS", "3"))
 
 
 @pytest.mark.timeout(60 + 30 * PAIRS)
@@ -38,7 +38,7 @@ def test_a_storm_of_signals_is_one_request():
     stop.event.wait()
     leave(stop.exit_code)
     """
-    for _ in range(10):
+    for _ in range(4):
         with subprocess.Popen(program(body), stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout.readline() == "ready\n"
             for _ in range(50):

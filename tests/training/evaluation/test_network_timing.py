@@ -1,5 +1,7 @@
 """Times of the networks alone: every row, what is left out and why, and differences that mean millimetres."""
 
+import dataclasses
+
 import pytest
 import torch
 
@@ -9,7 +11,7 @@ from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.support.resources import bundled_checkpoint, bundled_organ
 from softtissue_training.evaluation import network_timing, other_runtimes
-from softtissue_training.evaluation.network_cases import hybrid_case, paper_case
+from softtissue_training.evaluation.network_cases import NetworkCase, hybrid_case, paper_case
 from softtissue_training.evaluation.network_timing import OURS, main, table, time_networks
 
 CONFIG = EstimatorConfig(device="cpu")
@@ -49,6 +51,16 @@ def test_every_network_is_timed_in_every_way_that_there_is(organ, absent, monkey
     assert len(shown.splitlines()) == len(rows) + 2
 
 
+class Plain:
+    """A network as it is, in place of one that is prepared."""
+
+    def __init__(self, network, shape, device, dtype, progress):
+        self.run, self.description = network, str(dtype)
+
+    def __call__(self, inputs):
+        return self.run(inputs)
+
+
 def test_another_runtime_has_its_rows_where_it_is_installed(organ, monkeypatch):
     def slower_and_wrong(network, example, precision, threads):
         return lambda inputs: network(inputs) + 0.01
@@ -56,6 +68,13 @@ def test_another_runtime_has_its_rows_where_it_is_installed(organ, monkeypatch):
     monkeypatch.setattr(network_timing, "_CUBE", (16, 16, 16))
     monkeypatch.setattr(network_timing, "RUNTIMES", {"OpenVINO": slower_and_wrong})
     monkeypatch.setattr(network_timing, "missing_packages", lambda name: [])
+    monkeypatch.setattr(network_timing, "NetworkRuntime", Plain)  # ours are timed above
+    small = NetworkCase("hybrid", torch.nn.Conv3d(2, 3, 1), torch.ones(1, 2, 4, 4, 4), lambda a, b: 0.0)
+    case = paper_case(organ, CONFIG)
+    network = torch.nn.Conv3d(case.inputs.shape[1], case.network(case.inputs).shape[1], 1)
+    case = dataclasses.replace(case, network=network)  # with its own input and meaning of a difference
+    monkeypatch.setattr(network_timing, "hybrid_case", lambda organ, config: small)
+    monkeypatch.setattr(network_timing, "paper_case", lambda organ, config: case)
     rows = [row for row in time_networks(organ, CONFIG, 1, lambda _: None) if row["runtime"] == "OpenVINO"]
     assert {(row["network"], row["precision"]) for row in rows} == {
         (network, precision)

@@ -65,7 +65,7 @@ def _trained(data, out, share):
     torch.set_num_threads(1)
     try:
         config = dataclasses.replace(BOXES, larger_box_share=share)
-        train(data, out, config, Schedule(steps=60, validate_every_steps=60))
+        train(data, out, config, Schedule(steps=45, validate_every_steps=45))
     finally:
         torch.set_num_threads(before)
     return load_checkpoint(out / WEIGHTS).network

@@ -112,15 +112,15 @@ def test_gradient_is_that_of_the_mean_over_samples_whatever_their_grids(samples,
 
 
 def test_command_under_torchrun_leaves_the_curve_of_one_process(data_folder, tmp_path):
-    arguments = ["train", "--data", str(data_folder), "--config", "tiny", "--steps", "12", "--device", "cpu"]
-    arguments += ["--validate-every", "4", "--precision", "float32", "--threads", "1"]
+    arguments = ["train", "--data", str(data_folder), "--config", "tiny", "--steps", "6", "--device", "cpu"]
+    arguments += ["--validate-every", "3", "--precision", "float32", "--threads", "1"]
     _torchrun(["-m", "softtissue_training", *arguments, "--out", str(tmp_path / "two")])
     assert main([*arguments, "--out", str(tmp_path / "one")]) == 0
 
     def column(out, name, file):
         return [float(row[name]) for row in csv.DictReader((tmp_path / out / file).read_text().splitlines())]
 
-    assert len(column("two", "loss", LOSS)) == 12
+    assert len(column("two", "loss", LOSS)) == 6
     np.testing.assert_allclose(column("two", "loss", LOSS), column("one", "loss", LOSS), rtol=1e-4)
     np.testing.assert_allclose(column("two", "error_mm", LOG), column("one", "error_mm", LOG), atol=0.01)
 

@@ -5,9 +5,14 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from softtissue_training.cli.arguments import Commands, positive
+
+if TYPE_CHECKING:
+    from softtissue_training.evaluation.streams.plan import RecordingPlan
 
 _UNITS_M = {"mm": 1e-3, "m": 1.0}
 
@@ -59,8 +64,9 @@ def add(commands: Commands) -> None:
         "--suites",
         metavar="LIST",
         help="of random (organs, with all sweeps), own (the bundled liver), user (the surface named) and real (streams "
-        "of organs that move, with the errors of an operating room; writes DIR/real.json and DIR/real.md); default: "
-        "random,own and, with --organ-surface, user; with --quick without own",
+        "of organs that move, with the errors of an operating room; writes DIR/real.json and DIR/real.md) and bag (a "
+        "recording with markers, with such errors; writes DIR/bag.json and DIR/bag.md); default: random,own and, with "
+        "--organ-surface, user; with --quick without own",
     )
     benchmark.add_argument(
         "--organ-surface", type=Path, metavar="FILE", help="a liver's surface: STL, PLY, OBJ, VTK, VTP or VTU"
@@ -71,6 +77,30 @@ def add(commands: Commands) -> None:
         type=positive,
         metavar="N",
         help="samples of each suite (default: random 300, own 200, user 1334, as many as in the paper, real 20)",
+    )
+    benchmark.add_argument(
+        "--bag",
+        type=Path,
+        metavar="DIR",
+        help="recording of the suite bag, laid out like the bundled one (default: the bundled phantom)",
+    )
+    benchmark.add_argument(
+        "--organ", type=Path, metavar="FOLDER", help="organ of --bag (default: the bundled phantom)"
+    )
+    benchmark.add_argument(
+        "--conditions", metavar="LIST", help="of the suite bag, separated by commas (default: all)"
+    )
+    benchmark.add_argument(
+        "--step",
+        type=positive,
+        metavar="N",
+        help="show every Nth cloud of the bag (default: 1; with --quick 2)",
+    )
+    benchmark.add_argument(
+        "--seed",
+        type=int,
+        metavar="N",
+        help="of what is wrong with the clouds of the bag (default: a fixed one)",
     )
     benchmark.add_argument("--sweep", type=positive, metavar="N", help="organs of each sweep (default: 60)")
     benchmark.add_argument(
@@ -90,6 +120,7 @@ def _benchmark(options: argparse.Namespace) -> int:
     from softtissue_training.evaluation.benchmark.run import run_benchmark
     from softtissue_training.evaluation.methods import parse_methods, relabelled
     from softtissue_training.evaluation.streams.run import run_streams
+    from softtissue_training.evaluation.streams.run_recording import run_recording
 
     if (options.organ_surface is None) != (options.unit is None):
         raise InvalidInputError("--organ-surface and --unit: expected both or neither, got one of them")
@@ -105,7 +136,14 @@ def _benchmark(options: argparse.Namespace) -> int:
     if listed is None:
         listed = "zero,rigid,rbf,fem,elastic,paper" + (",hybrid" if "hybrid" in estimator_names() else "")
     methods = relabelled(parse_methods(listed, options.device), options.label)
-    plan = make_plan(suites, surfaces, quick=options.quick, count=options.count, sweep_count=options.sweep)
+    plan = make_plan(
+        suites,
+        surfaces,
+        quick=options.quick,
+        count=options.count,
+        sweep_count=options.sweep,
+        recording=_recording(options) if "bag" in suites else None,
+    )
     pairs = parse_pairs(options.compare, [spec.label for spec in methods])
     command = shlex.join(["softtissue-train", *sys.argv[1:]])
     if plan.data_sets:
@@ -122,4 +160,26 @@ def _benchmark(options: argparse.Namespace) -> int:
                 beside=options.beside,
             )
         )
+    if plan.recording is not None:
+        print(run_recording(plan.recording, methods, options.out, workers=options.workers, command=command))
     return 0
+
+
+def _recording(options: argparse.Namespace) -> RecordingPlan:
+    from softtissue_estimator.support.resources import bundled_bag, bundled_organ
+    from softtissue_training.evaluation.benchmark.plan import BAG_SEED
+    from softtissue_training.evaluation.streams.plan import QUICK_POSES, QUICK_STEP, RecordingPlan
+
+    plan = RecordingPlan(
+        options.bag or bundled_bag(),
+        options.organ or bundled_organ(),
+        BAG_SEED if options.seed is None else options.seed,
+    )
+    if options.quick:
+        plan = replace(plan, poses=QUICK_POSES, step=QUICK_STEP)
+    if options.step is not None:
+        plan = replace(plan, step=options.step)
+    if options.conditions is not None:
+        names = (name.strip() for name in options.conditions.split(","))
+        plan = replace(plan, conditions=tuple(name for name in names if name))
+    return plan

@@ -6,11 +6,9 @@ import json
 
 import numpy as np
 import pytest
+import trimesh
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.organ.mesh_io import read_mesh
-from softtissue_estimator.organ.organ_file import read_organ_file
-from softtissue_estimator.support.resources import bundled_organ
 from softtissue_training.cli import main
 from softtissue_training.errors import SolverDivergedError
 from softtissue_training.evaluation import figures, methods
@@ -25,6 +23,7 @@ from softtissue_training.evaluation.benchmark.plan import NamedSurface, Plan, ma
 from softtissue_training.evaluation.measured import Answer, CaseResult, Truth
 from softtissue_training.evaluation.methods import parse_methods
 from softtissue_training.evaluation.store import Store
+from training.phantom_cases import ellipsoid
 
 COUNT, SWEEP = 3, 1
 CASES = COUNT + 15 * SWEEP  # seven views, five ratios, two laws, several loads
@@ -201,9 +200,10 @@ def test_a_sample_that_one_of_twenty_fails_on_counts_for_nobody():
 def test_one_surface_is_one_mesh_with_many_loads(tmp_path, monkeypatch):
     """In worker processes, too."""
     monkeypatch.setattr(figures, "write_figures", lambda folder, results: [])
-    bundled = read_organ_file(bundled_organ())
-    surface = NamedSurface(bundled.surface, bundled.unit_m)
-    run(coarse_plan(("own",), own=surface), tmp_path, workers=1)
+    known = ellipsoid()
+    path = tmp_path / "organ.ply"
+    trimesh.Trimesh(1e3 * known.vertices, known.faces, process=False).export(path)
+    run(coarse_plan(("own",), own=NamedSurface(path, 1e-3)), tmp_path, workers=1)
     found = summary(tmp_path)
     assert found["estimators"]["zero"]["own_all"]["samples"] == COUNT
     assert found["suites"]["own"]["rigid"]["by_visible_share"]
@@ -212,9 +212,8 @@ def test_one_surface_is_one_mesh_with_many_loads(tmp_path, monkeypatch):
     assert len({row["mean_mm"] for row in zero}) == len({row["visible_share"] for row in zero}) == COUNT
     with np.load(tmp_path / "simulations" / "own" / "organ.mesh.npz") as mesh:
         extent = np.ptp(mesh["vertices"], axis=0)
-    expected = np.ptp(read_mesh(bundled.surface, bundled.unit_m).mesh.vertices, axis=0)
-    assert extent == pytest.approx(expected, rel=0.03)
-    other = NamedSurface(bundled.surface, 0.9e-3)
+    assert extent == pytest.approx(np.ptp(known.vertices, axis=0), rel=0.05)
+    other = NamedSurface(path, 0.9e-3)
     with pytest.raises(InvalidInputError, match="got those of another surface or unit; name another --out"):
         run(coarse_plan(("own",), own=other), tmp_path)
 
@@ -301,7 +300,7 @@ def test_pairs_are_of_labels_in_the_list():
     ("arguments", "message"),
     [
         (["--estimators", "magic"], "estimators: expected zero, rigid, rbf, fem"),
-        (["--suites", "own,liver"], "suites: expected some of random, own, user, real, got own, liver"),
+        (["--suites", "own,liver"], "suites: expected some of random, own, user, real, bag, got own, liver"),
         (["--suites", "user"], "suite user: expected a surface"),
         (["--organ-surface", "liver.stl"], "--organ-surface and --unit: expected both or neither"),
         (

@@ -13,10 +13,9 @@ from softtissue_training.evaluation.streams.conditions import (
     OCCLUDED_S,
     OUTLIER_M,
     POSES,
-    Instance,
-    instances,
     pose_axes,
 )
+from softtissue_training.evaluation.streams.instances import Instance, instances
 
 SEED = 5
 

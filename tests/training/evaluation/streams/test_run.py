@@ -15,8 +15,9 @@ from softtissue_training.evaluation import methods
 from softtissue_training.evaluation.benchmark import plan as planning
 from softtissue_training.evaluation.benchmark.plan import REAL_SEED, make_plan
 from softtissue_training.evaluation.methods import parse_methods
-from softtissue_training.evaluation.streams.conditions import CONDITIONS, instances
+from softtissue_training.evaluation.streams.conditions import CONDITIONS
 from softtissue_training.evaluation.streams.earlier import FIGURES
+from softtissue_training.evaluation.streams.instances import instances
 from softtissue_training.evaluation.streams.plan import StreamPlan, organ_name
 from softtissue_training.evaluation.streams.run import run_streams
 from softtissue_training.simulation.reserved_seeds import FIRST_RESERVED_SEED

@@ -11,14 +11,14 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.evaluation.measured import Truth
 from softtissue_training.evaluation.metrics import CONDITIONS, Condition
 from softtissue_training.evaluation.observe import ObservationSettings
-from softtissue_training.evaluation.streams.plan import StreamPlan
+from softtissue_training.evaluation.streams.plan import RecordingPlan, StreamPlan
 from softtissue_training.physics.material import Material
 from softtissue_training.simulation.recipe import Recipe
 from softtissue_training.simulation.reserved_seeds import FIRST_RESERVED_SEED
 
-SUITES = ("random", "own", "user", "real")
-RANDOM_SEED, OWN_SEED, USER_SEED, REAL_SEED = (FIRST_RESERVED_SEED + index for index in range(4))
-"""One seed each for the suites; the sweeps are of the random suite's organs."""
+SUITES = ("random", "own", "user", "real", "bag")
+RANDOM_SEED, OWN_SEED, USER_SEED, REAL_SEED, BAG_SEED = (FIRST_RESERVED_SEED + index for index in range(5))
+"""One seed each for the suites; the sweeps are of the random suite's organs. That of `bag` draws errors alone."""
 VISIBLE_BINS = ((8, 15), (15, 25), (25, 40), (40, 60))
 """Percent of the surface; with the lower end, without the upper one, except that the last holds all above."""
 SWEEP_BASE = "noise_0mm"
@@ -96,16 +96,19 @@ class Plan:
     Attributes
     ----------
     suites
-        Those that figures are drawn of and that pairs of estimators are compared on; `real` is not one of them.
+        Those that figures are drawn of and that pairs of estimators are compared on; not `real` and `bag`.
     data_sets
         Everything that is simulated for them.
     streams
         The suite `real`, if it is asked for.
+    recording
+        The suite `bag`, if it is asked for.
     """
 
     suites: tuple[str, ...]
     data_sets: tuple[DataSet, ...]
     streams: StreamPlan | None = None
+    recording: RecordingPlan | None = None
 
 
 def condition_of(suite: str) -> str:
@@ -152,6 +155,7 @@ def make_plan(
     quick: bool = False,
     count: int | None = None,
     sweep_count: int | None = None,
+    recording: RecordingPlan | None = None,
 ) -> Plan:
     """Return the plan of the suites.
 
@@ -167,6 +171,8 @@ def make_plan(
         Samples of every suite, instead of `COUNTS`.
     sweep_count
         Organs of every sweep; at most those of the random suite.
+    recording
+        The suite `bag`.
 
     Raises
     ------
@@ -180,6 +186,8 @@ def make_plan(
     data_sets: list[DataSet] = []
     streams: StreamPlan | None = None
     for suite in suites:
+        if suite == "bag":
+            continue
         samples = count or (QUICK_COUNTS if quick else COUNTS)[suite]
         if suite == "real":
             streams = StreamPlan(REAL_SEED, samples)
@@ -193,7 +201,8 @@ def make_plan(
         seed = OWN_SEED if suite == "own" else USER_SEED
         view = View(condition_of(suite), samples)
         data_sets.append(DataSet(suite, seed, Recipe(), samples, (view,), surface=surfaces[suite]))
-    return Plan(tuple(suite for suite in suites if suite != "real"), tuple(data_sets), streams)
+    simulated = tuple(suite for suite in suites if suite not in ("real", "bag"))
+    return Plan(simulated, tuple(data_sets), streams, recording if "bag" in suites else None)
 
 
 def _random_suite(samples: int, sweeps: int) -> list[DataSet]:

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import SoftTissueError
-from softtissue_estimator.estimators.estimator import Estimate, create_estimator, estimator_names
+from softtissue_estimator.estimators.estimator import create_estimator, estimator_names
 from softtissue_estimator.observation.observation import Observation, make_observation
 from softtissue_estimator.organ.organ import Organ
 from softtissue_training.evaluation.case import EvaluationCase
 from softtissue_training.evaluation.methods import Method, MethodSpec
 from softtissue_training.evaluation.streams.conditions import Clouds
 from softtissue_training.evaluation.streams.pace import Pace
-from softtissue_training.evaluation.streams.stream import Stream
+from softtissue_training.evaluation.streams.recording import AnyStream
 
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -115,7 +115,7 @@ class StreamMethod:
         if self.paced is None:
             self.paced = is_paced(self.spec)
 
-    def answer(self, stream: Stream, clouds: Clouds) -> StreamAnswers:
+    def answer(self, stream: AnyStream, clouds: Clouds) -> StreamAnswers:
         """Show all clouds in order; whatever goes wrong inside the estimator counts as refused."""
         organ = stream.organ
         if not np.array_equal(clouds.attached, organ.attached):
@@ -127,7 +127,7 @@ class StreamMethod:
         except Exception as error:
             return _gathered(stream, clouds, index, [_Frame(failure=_reason(error)) for _ in index])
         frames: list[_Frame] = []
-        pace = Pace(stream.settings.interval_s)
+        pace = Pace(stream.interval_s)
         for number in index:
             if self.paced:
                 pace.wait()
@@ -149,16 +149,18 @@ class StreamMethod:
             self._estimator.load_organ(organ)
             self._loaded = organ.digest
 
-    def _frame(self, stream: Stream, organ: Organ, clouds: Clouds, number: int) -> _Frame:
+    def _frame(self, stream: AnyStream, organ: Organ, clouds: Clouds, number: int) -> _Frame:
         seen = clouds.seen[number]
         try:
             observation, _ = make_observation(
                 clouds.points[number][seen],
-                clouds.reference[seen],
-                stream.settings.noise_m,
+                clouds.said(number)[seen],
+                stream.told_noise_m,
                 organ,
                 EstimatorConfig(),
             )
+            # Clouds arrive at the rate of the stream, whatever happened between two of them.
+            observation = replace(observation, stamp_s=float(stream.times[number]))
             if self._memoryless is None:
                 return self._estimated(observation, stream.inner)
             case = _case(stream, organ, observation, int(clouds.frames[number]))
@@ -172,7 +174,9 @@ class StreamMethod:
         estimate = self._estimator.estimate(observation)
         seconds, processor_s = time.perf_counter() - start, time.thread_time() - computed
         displacement, sigma = estimate.displacement_at(points)
-        return _checked(_Frame(displacement, sigma, seconds, _degraded(estimate), processor_s))
+        return _checked(
+            _Frame(displacement, sigma, seconds, int(bool(estimate.diagnosis.doubts)), processor_s)
+        )
 
 
 def has_history(spec: MethodSpec) -> bool:
@@ -183,11 +187,6 @@ def has_history(spec: MethodSpec) -> bool:
 def is_paced(spec: MethodSpec) -> bool:
     """Whether frames wait until they are due, where nothing else is asked for."""
     return spec.kind in IMPROVES_BETWEEN_FRAMES
-
-
-def _degraded(estimate: Estimate) -> int:
-    reasons = getattr(estimate, "degradation", None)
-    return NOT_SAID if reasons is None else int(bool(reasons))
 
 
 def _checked(frame: _Frame) -> _Frame:
@@ -202,7 +201,7 @@ def _reason(error: Exception) -> str:
     return str(error) if isinstance(error, SoftTissueError) else f"{type(error).__name__}: {error}"
 
 
-def _case(stream: Stream, organ: Organ, observation: Observation, frame: int) -> EvaluationCase:
+def _case(stream: AnyStream, organ: Organ, observation: Observation, frame: int) -> EvaluationCase:
     return EvaluationCase(
         name=stream.name,
         organ=organ,
@@ -216,7 +215,7 @@ def _case(stream: Stream, organ: Organ, observation: Observation, frame: int) ->
 
 
 def _gathered(
-    stream: Stream, clouds: Clouds, index: NDArray[np.int64], frames: list[_Frame]
+    stream: AnyStream, clouds: Clouds, index: NDArray[np.int64], frames: list[_Frame]
 ) -> StreamAnswers:
     count = len(stream.inner)
     error = np.full((len(frames), count, 3), np.nan, dtype=np.float32)

@@ -5,10 +5,10 @@ Nothing about the condition is told to estimators, but for the attached region, 
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.organ.mesh import vertex_areas
+from softtissue_training.evaluation.streams.recording import AnyStream
 from softtissue_training.evaluation.streams.smooth_field import smooth_field, with_rms
 from softtissue_training.evaluation.streams.stream import Stream
 from softtissue_training.organs.surface_patch import random_vertex, resized, surface_distance
@@ -47,7 +48,7 @@ class Clouds:
     Attributes
     ----------
     reference
-        (k, 3) m, preoperative positions that the points are said to have had.
+        Preoperative positions that the points are said to have had, m: (k, 3) of all clouds, or (f, k, 3).
     points
         (f, k, 3) m.
     seen
@@ -67,17 +68,22 @@ class Clouds:
     attached: BoolArray
     event: int | None = None
 
+    def said(self, number: int) -> FloatArray:
+        """Return the preoperative positions of the points of a cloud, (k, 3) m."""
+        return self.reference if self.reference.ndim == 2 else self.reference[number]
 
-Condition = Callable[[Stream, np.random.Generator, int], Clouds]
+
+StreamT = TypeVar("StreamT", bound=AnyStream)
+Condition = Callable[[StreamT, np.random.Generator, int], Clouds]
 """Of a stream, a generator and the number of a pose, which only some conditions need."""
 
 
-def exact(stream: Stream, rng: np.random.Generator, pose: int) -> Clouds:
+def exact(stream: AnyStream, rng: np.random.Generator, pose: int) -> Clouds:
     """Change nothing: the stream with its noise."""
     return Clouds(
         stream.reference,
         stream.points,
-        np.ones(stream.points.shape[:2], dtype=bool),
+        stream.seen,
         np.arange(len(stream.times)),
         stream.organ.attached,
     )
@@ -98,16 +104,16 @@ def pose_axes(pose: int) -> tuple[FloatArray, FloatArray]:
 
 
 def registration(
-    stream: Stream, rng: np.random.Generator, pose: int, *, degrees: float, shift_m: float
+    stream: AnyStream, rng: np.random.Generator, pose: int, *, degrees: float, shift_m: float
 ) -> Clouds:
-    """Turn all clouds about the organ's centre and shift them, the same way in every frame."""
+    """Turn all clouds about the stream's centre and shift them, the same way in every frame."""
     axis, direction = pose_axes(pose)
     turned = Rotation.from_rotvec(np.deg2rad(degrees) * axis).as_matrix()
     points = (stream.points - stream.centre) @ turned.T + stream.centre + shift_m * direction
     return replace(exact(stream, rng, pose), points=points)
 
 
-def outliers(stream: Stream, rng: np.random.Generator, pose: int, *, share: float) -> Clouds:
+def outliers(stream: AnyStream, rng: np.random.Generator, pose: int, *, share: float) -> Clouds:
     """Put a share of the points, others in every frame, anywhere around where they are."""
     points = stream.points.copy()
     count = round(share * points.shape[1])
@@ -143,9 +149,9 @@ def instrument(stream: Stream, rng: np.random.Generator, pose: int, *, share: fl
     return replace(exact(stream, rng, pose), points=points)
 
 
-def drift(stream: Stream, rng: np.random.Generator, pose: int, *, end_m: float) -> Clouds:
+def drift(stream: AnyStream, rng: np.random.Generator, pose: int, *, end_m: float) -> Clouds:
     """Shift all points by one translation that grows evenly with time."""
-    grown = end_m * stream.times / stream.times[-1]
+    grown = end_m * (stream.times - stream.times[0]) / np.ptp(stream.times)
     shift = grown[:, None] * random_direction(rng)
     return replace(exact(stream, rng, pose), points=stream.points + shift[:, None])
 
@@ -224,7 +230,7 @@ def jump(stream: Stream, rng: np.random.Generator, pose: int) -> Clouds:
     return replace(whole, points=whole.points[kept], seen=whole.seen[kept], frames=kept, event=cut)
 
 
-CONDITIONS: Mapping[str, Condition] = {
+CONDITIONS: Mapping[str, Condition[Stream]] = {
     "exact": exact,
     "registration_1": partial(registration, degrees=1.0, shift_m=0.001),
     "registration_2": partial(registration, degrees=2.0, shift_m=0.003),
@@ -246,39 +252,3 @@ CONDITIONS: Mapping[str, Condition] = {
     "occluded": occluded,
     "jump": jump,
 }
-
-
-@dataclass(frozen=True)
-class Instance:
-    """A condition on one stream; of a registration's error with one of several poses."""
-
-    condition: str
-    pose: int = 0
-
-    @property
-    def name(self) -> str:
-        """Name of the condition, with the pose where it has one."""
-        return f"{self.condition}.{self.pose}" if _has_pose(self.condition) else self.condition
-
-    def clouds(self, stream: Stream, seed: int) -> Clouds:
-        """Return the clouds; the same ones every time, and whatever other conditions there are."""
-        rng = np.random.default_rng([seed, stream.number, zlib.crc32(self.condition.encode())])
-        return CONDITIONS[self.condition](stream, rng, self.pose)
-
-
-def instances(number: int, organs: int) -> list[Instance]:
-    """List what is asked of the stream of one of the organs.
-
-    Organs take the poses of a registration's error in turn; where there are fewer than six organs, each takes so many
-    that all six occur.
-    """
-    each = -(-POSES // organs)
-    return [
-        Instance(condition, number * each + turn if _has_pose(condition) else 0)
-        for condition in CONDITIONS
-        for turn in range(each if _has_pose(condition) else 1)
-    ]
-
-
-def _has_pose(condition: str) -> bool:
-    return condition.startswith("registration_")

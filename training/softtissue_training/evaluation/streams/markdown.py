@@ -29,7 +29,7 @@ def markdown(summary: Summary) -> str:
         *_recovery(summary["recovery"]),
         "## Streams",
         _streams(summary),
-        *_failures(summary["common_frames"]),
+        *failures(summary["common_frames"]),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -66,14 +66,20 @@ def _errors(summary: Summary, what: str) -> str:
 
 def _among_answered(row: Summary, what: str) -> str:
     """Errors, and the share of the frames that they are of where that is not all of them."""
-    cell = _spread(row[what])
+    cell = spread(row[what])
     return cell if row["answered"] in (0.0, 1.0) else f"{cell} ({row['answered']:.0%} answered)"
 
 
-def _spread(found: Summary | None) -> str:
+def spread(found: Summary | None) -> str:
+    """Mean, 95 % quantile and largest error, mm."""
     if found is None:
         return "-"
     return " / ".join(f"{found[name]:.1f}" for name in ("mean_mm", "p95_mm", "max_mm"))
+
+
+def milliseconds(time: Summary | None) -> str:
+    """Median and 95 % quantile of a time."""
+    return "-" if time is None else f"{time['median']:.0f} / {time['p95']:.0f}"
 
 
 def _every_frame(rows: Summary) -> str:
@@ -97,7 +103,7 @@ def _every_frame(rows: Summary) -> str:
 
 
 def _cells(row: Summary) -> list[str]:
-    spread = [_spread(row[what]) for what in ("errors", "far_errors")]
+    spread = [spread(row[what]) for what in ("errors", "far_errors")]
     found = row["calibration"]
     calibration = ["-"] * 6
     if found is not None:
@@ -117,10 +123,8 @@ def _cells(row: Summary) -> list[str]:
         *calibration,
         f"{row['answered']:.1%}",
         "not said" if row["degraded"] is None else f"{row['degraded']:.1%}",
-        *(
-            "-" if time is None else f"{time['median']:.0f} / {time['p95']:.0f}"
-            for time in (row["time_ms"], row["processor_ms"])
-        ),
+        milliseconds(row["time_ms"]),
+        milliseconds(row["processor_ms"]),
     ]
 
 
@@ -176,7 +180,7 @@ def _streams(summary: Summary) -> str:
     return table(header, rows)
 
 
-def _failures(by_label: Summary) -> list[str]:
+def failures(by_label: Summary) -> list[str]:
     """List how often estimators refused, each with one reason, because reasons hold numbers that differ."""
     lines = [
         f"- {label}, `{condition}`: {sum(row['failures'].values())} times, such as: {next(iter(row['failures']))}"

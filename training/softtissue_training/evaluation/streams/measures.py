@@ -130,7 +130,7 @@ def _calibration(error: FloatArray, sigma: FloatArray) -> dict[str, float] | Non
 
 def over_exact(rows: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Add to the figures of each condition, as `over_exact`, its mean error over that of `exact`; None without both."""
-    exact = rows["exact"]["errors"]
+    exact = rows["exact"]["errors"] if "exact" in rows else None
     return {
         name: row
         | {

@@ -15,9 +15,10 @@ from softtissue_training.evaluation.benchmark.machine import busy_cores, machine
 from softtissue_training.evaluation.methods import MethodSpec
 from softtissue_training.evaluation.report import replace_text, write_json
 from softtissue_training.evaluation.streams.answers import MEMORYLESS_STRIDE, has_history
-from softtissue_training.evaluation.streams.conditions import CONDITIONS, Instance, instances
+from softtissue_training.evaluation.streams.conditions import CONDITIONS
 from softtissue_training.evaluation.streams.earlier import earlier_figures
 from softtissue_training.evaluation.streams.evaluate import StreamJob, answer_all, stream_jobs
+from softtissue_training.evaluation.streams.instances import Instance
 from softtissue_training.evaluation.streams.markdown import markdown, overview
 from softtissue_training.evaluation.streams.measures import (
     SKIPPED_SHARE,
@@ -28,6 +29,7 @@ from softtissue_training.evaluation.streams.measures import (
 )
 from softtissue_training.evaluation.streams.motions import make_motions
 from softtissue_training.evaluation.streams.plan import StreamPlan
+from softtissue_training.evaluation.streams.sources import MovingOrganSource
 from softtissue_training.evaluation.streams.store import STREAMS_VERSION
 from softtissue_training.evaluation.streams.stream import FAR_M, Stream
 from softtissue_training.learning.provenance import commit, versions
@@ -75,22 +77,17 @@ def run_streams(
     keys = [plan.stream_key(each, STREAMS_VERSION) for each in hashes]
     streams_digest = digest(dict(zip(map(str, range(plan.organs)), keys, strict=True)))
     earlier = {} if beside is None else earlier_figures(beside, streams_digest)
-    jobs = stream_jobs(plan, keys, methods, out, paced=paced, stride=stride)
+    sources = [MovingOrganSource(plan, number, key, out / "motions") for number, key in enumerate(keys)]
+    jobs = stream_jobs(sources, methods, out, paced=paced, stride=stride)
     answer_all(jobs, workers=workers, show_progress=show_progress)
-    about = {
-        "command": command,
-        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "commit": commit(),
-        "versions": versions(),
-        "machine": machine(),
+    about = about_run(command, methods) | {
         "busy_cores_before": busy,
         "workers": workers,
         "seconds": {"simulating": simulated - start, "answering": time.monotonic() - simulated},
-        "checkpoints": {spec.label: spec.provenance() for spec in methods if spec.checkpoint is not None},
         "digest": streams_digest,
         "plan": asdict(plan),
     }
-    summary = about | _summary(plan, jobs, stride)
+    summary = about | _summary(plan, sources, jobs, stride)
     for kind, figures in earlier.items():
         summary[kind] = figures | summary[kind]
     write_json(out / SUMMARY, summary)
@@ -98,19 +95,30 @@ def run_streams(
     return f"{overview(summary)}\n\nall figures: {out / REPORT}, {out / SUMMARY}"
 
 
-def _summary(plan: StreamPlan, jobs: Sequence[StreamJob], stride: int) -> dict[str, Any]:
-    streams: dict[int, Stream] = {}
+def about_run(command: str, methods: Sequence[MethodSpec]) -> dict[str, Any]:
+    """Say what a summary was measured with."""
+    return {
+        "command": command,
+        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "commit": commit(),
+        "versions": versions(),
+        "machine": machine(),
+        "checkpoints": {spec.label: spec.provenance() for spec in methods if spec.checkpoint is not None},
+    }
+
+
+def _summary(
+    plan: StreamPlan, sources: Sequence[MovingOrganSource], jobs: Sequence[StreamJob], stride: int
+) -> dict[str, Any]:
     groups: dict[str, dict[str, list[Shown]]] = {}
     for job in jobs:
-        if job.number not in streams:
-            streams[job.number] = job.read_stream()
         rows = groups.setdefault(job.spec.label, {condition: [] for condition in CONDITIONS})
-        for instance in instances(job.number, plan.organs):
-            rows[instance.condition].append(_shown(job, instance, streams[job.number]))
+        for instance in job.instances:
+            rows[instance.condition].append(_shown(job, instance))
     every_frame = [job.spec.label for job in jobs[: len(groups)] if has_history(job.spec)]
     interval_s = plan.observation.interval_s
     return {
-        "streams": [_described(stream) for stream in streams.values()],
+        "streams": [_described(source.stream) for source in sources],
         "stride": stride,
         "common_frames": {
             label: {name: measure(shown, stride) for name, shown in rows.items()}
@@ -131,9 +139,10 @@ def _summary(plan: StreamPlan, jobs: Sequence[StreamJob], stride: int) -> dict[s
     }
 
 
-def _shown(job: StreamJob, instance: Instance, stream: Stream) -> Shown:
+def _shown(job: StreamJob, instance: Instance) -> Shown:
+    stream = job.source.stream
     skipped = round(SKIPPED_SHARE * len(stream.times))
-    return Shown(job.number, job.read(instance), stream.depth, skipped)
+    return Shown(stream.number, job.read(instance), stream.depth, skipped)
 
 
 def _described(stream: Stream) -> dict[str, Any]:

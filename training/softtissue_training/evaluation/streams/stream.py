@@ -107,6 +107,21 @@ class Stream:
         """Observed present positions with noise and nothing else wrong, (f, k, 3) m."""
         return self.present(self.reference) + self.noise
 
+    @property
+    def seen(self) -> BoolArray:
+        """All of them, (f, k)."""
+        return np.ones(self.noise.shape[:2], dtype=bool)
+
+    @property
+    def interval_s(self) -> float:
+        """Between two clouds."""
+        return self.settings.interval_s
+
+    @property
+    def told_noise_m(self) -> float:
+        """Standard deviation of each component of the noise."""
+        return self.settings.noise_m
+
     def present(self, material: FloatArray) -> FloatArray:
         """Where points (k, 3) m nearest to the preoperative surface are in every frame, (f, k, 3) m."""
         closest, corners, weights = self._located(material)

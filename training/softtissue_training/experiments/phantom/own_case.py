@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.highlevel import AnyReader
-from scipy.spatial.transform import Rotation
 
-from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.support.resources import bundled_bag, bundled_organ
 from softtissue_training.experiments.paired_points import PairedPoints
 from softtissue_training.experiments.phantom.case import ObservedSurface, PhantomCase, Truth
-from softtissue_training.phantom.bag import (
-    MARKERS_TOPIC,
-    ORGAN_TOPIC,
-    POINTS_TOPIC,
-    REGISTRATION_TOPIC,
-)
+from softtissue_training.phantom.bag import MARKERS_TOPIC, ORGAN_TOPIC, POINTS_TOPIC
+from softtissue_training.phantom.recorded import read_recorded
 from softtissue_training.phantom.spec import PhantomSpec
 
 FloatArray = NDArray[np.float64]
@@ -38,11 +27,11 @@ def own_phantom_case() -> PhantomCase:
     1,200 tracked points with 1 mm of noise and, to the sensor's knowledge, where each was before; the same points
     without that; six markers; and where everything truly was.
     """
-    clouds, registration = _read(bundled_bag())
-    markers = clouds[MARKERS_TOPIC]
+    recorded = read_recorded(bundled_bag())
+    clouds, markers = recorded.clouds, recorded.clouds[MARKERS_TOPIC]
     peak = max(clouds[ORGAN_TOPIC].keys() & markers.keys(), key=lambda stamp: _moved(markers[stamp]))
     observed, marker = clouds[POINTS_TOPIC][peak], markers[peak]
-    points = registration.undo(observed[:, :3])
+    points = recorded.registration(peak).undo(observed[:, :3])
     return PhantomCase(
         name="bundled phantom",
         organ=load_organ(bundled_organ()),
@@ -62,24 +51,3 @@ def _moved(marker: FloatArray) -> float:
 
 def _numbers(count: int) -> tuple[str, ...]:
     return tuple(str(number) for number in range(1, count + 1))
-
-
-def _read(bag: Path) -> tuple[dict[str, dict[int, FloatArray]], RigidMotion]:
-    """Return the clouds' columns (m) by topic and stamp, and the motion from the organ's to the clouds' frame."""
-    clouds: dict[str, dict[int, FloatArray]] = {POINTS_TOPIC: {}, MARKERS_TOPIC: {}, ORGAN_TOPIC: {}}
-    registration: RigidMotion | None = None
-    with AnyReader([bag]) as reader:
-        for connection, stamp, data in reader.messages():
-            message: Any = reader.deserialize(data, connection.msgtype)
-            if connection.topic in clouds:
-                columns = np.asarray(message.data).view("<f4").reshape(message.width, -1)
-                clouds[connection.topic][stamp] = columns.astype(np.float64)
-            elif connection.topic == REGISTRATION_TOPIC:
-                turn, shift = message.transform.rotation, message.transform.translation
-                registration = RigidMotion(
-                    Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix(),
-                    np.array([shift.x, shift.y, shift.z]),
-                )
-    if registration is None:
-        raise InvalidInputError(f"bag {bag}: expected a registration on {REGISTRATION_TOPIC}, got none")
-    return clouds, registration
