@@ -29,6 +29,7 @@ from integration.harness import (
     registration_message,
     write_organ,
 )
+from memory_pools import pools_of
 from ros_domain import reserved
 
 stamps = itertools.count(1_700_000_000_000_000_000, 50_000_000)
@@ -187,6 +188,11 @@ def elastic(folder, tmp_path_factory):
     ):
         client.wait_until_connected()
         yield node, client
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads the map of Linux")
+def test_all_threads_take_memory_from_one_pool(elastic):
+    assert pools_of(elastic[0].process.pid) == 0
 
 
 def test_warp_points_follows_the_answer(elastic, scene):

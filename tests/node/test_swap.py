@@ -1,7 +1,9 @@
 """Another engine takes the place of the one at work between two answers; nobody waits for the old one's end."""
 
+import dataclasses
 import threading
 import time
+import weakref
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,10 +12,14 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
+from softtissue_msgs.srv import LoadOrgan
+
 from integration.harness import Scene, write_organ
+from node.awaiting import run
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.estimator import Estimate, Estimator
+from softtissue_estimator.ros import organ_loading
 from softtissue_estimator.ros.engine import Engine
 from softtissue_estimator.ros.frames import Frame
 from softtissue_estimator.ros.inputs.counters import FrameCounters
@@ -21,6 +27,7 @@ from softtissue_estimator.ros.inputs.registration import Registration
 from softtissue_estimator.ros.outputs.answer_buffer import AnswerBuffer
 from softtissue_estimator.ros.outputs.markers import MarkerBuffer
 from softtissue_estimator.ros.outputs.serialised import read_stamp
+from softtissue_estimator.ros.pipeline import Pipeline
 from softtissue_estimator.ros.publishing import Outputs
 from softtissue_estimator.ros.responder import Responder
 
@@ -73,10 +80,10 @@ def scene(tmp_path_factory):
     return Scene(write_organ(tmp_path_factory.mktemp("organ")))
 
 
-def engine(scene, name):
-    estimator = Recorder(name)
-    estimator.load_organ(scene.organ)
-    return Engine(scene.organ, estimator, AnswerBuffer(scene.organ), MarkerBuffer(scene.organ, 2.0))
+def engine(scene, name, kind=Recorder):
+    organ, estimator = dataclasses.replace(scene.organ), kind(name)
+    estimator.load_organ(organ)
+    return Engine(organ, estimator, AnswerBuffer(organ), MarkerBuffer(organ, 2.0))
 
 
 @pytest.fixture
@@ -158,3 +165,34 @@ def test_new_engine_rehearses_with_the_newest_cloud_and_says_nothing(running, sc
     assert len(running.outputs.status.published) == before
     assert (running.counters.counts.answered, running.counters.counts.refused) == (1, 0)
     assert running.responder.answer is not None
+
+
+def test_memory_goes_back_when_no_thread_holds_the_old_organ(running, scene, monkeypatch):
+    responder, counters = running.responder, running.counters
+    config, begun, go_on = EstimatorConfig(), threading.Event(), threading.Event()
+
+    class Slow(Recorder):
+        def estimate(self, observation):
+            begun.set()
+            assert go_on.wait(PATIENCE_S)
+            return super().estimate(observation)
+
+        def close(self):
+            threading.Timer(0.1, go_on.set).start()
+
+    running.old = None
+    responder.use(engine(scene, "old", Slow))
+    held = weakref.ref(responder.engine.organ)
+    pipeline = Pipeline(responder, counters, print)
+    pipeline.put(frame(scene, 1))
+    assert begun.wait(PATIENCE_S)
+
+    given_back = []
+    monkeypatch.setattr(organ_loading, "give_back", lambda: given_back.append(held() is None))
+    monkeypatch.setattr(organ_loading, "load_engine", lambda *_, **__: engine(scene, "new"))
+    loading = organ_loading.OrganLoading(responder, lambda: config, SimpleNamespace(info=print))
+    response = LoadOrgan.Response()
+    run(lambda executor: loading.answer(LoadOrgan.Request(), response, executor))
+    assert response.result == LoadOrgan.Response.SUCCESS
+    assert given_back == [True]
+    assert pipeline.stop(PATIENCE_S)

@@ -11,6 +11,7 @@ from softtissue_estimator.ros.runtime import (
     refusal_of_ros,
     take_short_turns,
 )
+from softtissue_estimator.support.memory import one_pool
 
 # After a signal, s: how long callbacks and the estimate in work are waited for, and when the process ends at last.
 PATIENCE_S = 1.5
@@ -21,6 +22,7 @@ CRASH = 1
 
 def main() -> None:
     """Run until SIGINT or SIGTERM (exit code 0); 2 after wrong files or parameters, 1 after a crash."""
+    one_pool()
     stop = StopRequest(END_S)
     limit_threads()
     take_short_turns()

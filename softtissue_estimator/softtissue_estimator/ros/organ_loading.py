@@ -1,5 +1,6 @@
 """The service `~/load_organ`: another organ is prepared in another process and takes the place of the one at work."""
 
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -12,12 +13,13 @@ from softtissue_estimator.ros.boundary import Boundary
 from softtissue_estimator.ros.engine import load_engine
 from softtissue_estimator.ros.responder import Responder
 from softtissue_estimator.ros.service_calls import ServiceCalls
-from softtissue_estimator.support.memory import give_back
+from softtissue_estimator.support.memory import give_back, gone
 from softtissue_estimator.support.sentences import one_sentence
 
 _BUSY = "expected one organ at a time, got another call while one loads"
 _NOT_CONFIGURED = "expected an inactive or active node, got one that is not configured"
 _CHANGED = "expected a node that stays configured while an organ loads, got one that was cleaned up meanwhile"
+_PATIENCE_S = 3.0  # several times what the old estimator's thread takes for a step
 
 
 class OrganLoading:
@@ -44,31 +46,35 @@ class OrganLoading:
         """Load the organ of a request."""
 
         def work() -> None:
-            self._load(request.folder, response)
-            give_back()  # now that nothing holds the engine from before
+            old = self._load(request.folder, response)
+            if old is not None:
+                gone(old, _PATIENCE_S)  # threads that were at work for it still hold it
+            give_back()
 
         if not await self._calls.done(work, executor):
             _not_loaded(response, LoadOrgan.Response.BUSY, _BUSY)
         return response
 
-    def _load(self, folder: str, response: LoadOrgan.Response) -> None:
+    def _load(self, folder: str, response: LoadOrgan.Response) -> weakref.ref[Organ] | None:
+        """Return the organ that is not needed any more, if there is one."""
         before = self._responder.engine
         if before is None:
             _not_loaded(response, LoadOrgan.Response.NOT_CONFIGURED, _NOT_CONFIGURED)
-            return
+            return None
         try:
             engine = load_engine(folder, self._config(), self._boundary.info, elsewhere=True)
         except SoftTissueError as error:
             said = self._boundary.sentence("load_organ", error)
             self._boundary.error(said)
             _not_loaded(response, LoadOrgan.Response.INVALID_ORGAN, said)
-            return
+            return None
         self._responder.rehearse(engine)
         if self._responder.exchange(before, engine):
             _loaded(response, engine.organ)
-        else:
-            engine.estimator.close()
-            _not_loaded(response, LoadOrgan.Response.NOT_CONFIGURED, _CHANGED)
+            return weakref.ref(before.organ)
+        engine.estimator.close()
+        _not_loaded(response, LoadOrgan.Response.NOT_CONFIGURED, _CHANGED)
+        return weakref.ref(engine.organ)
 
 
 def _loaded(response: LoadOrgan.Response, organ: Organ) -> None:

@@ -66,3 +66,4 @@ class LatestWorker(Generic[ItemT]):
                     self._work(item)
                 except Exception as error:  # the thread's owner reports it
                     self._on_crash(error)
+                item = None  # it may hold much, and the next one may be long in coming

@@ -2,8 +2,14 @@
 
 import threading
 import time
+import weakref
 
 from softtissue_estimator.support.latest_worker import LatestWorker
+from softtissue_estimator.support.memory import gone
+
+
+class Item:
+    """Something that can be referred to weakly."""
 
 
 def test_worker_takes_the_newest_and_hands_back_the_replaced():
@@ -43,4 +49,15 @@ def test_worker_reports_a_crash_and_goes_on():
     worker.put(0)
     assert reported.wait(10.0)
     assert len(crashes) == 2
+    assert worker.stop(10.0)
+
+
+def test_worker_keeps_nothing_of_an_item_that_is_done():
+    done = threading.Event()
+    worker, item = LatestWorker(lambda _: done.set(), print), Item()
+    kept = weakref.ref(item)
+    worker.put(item)
+    del item
+    assert done.wait(10.0)
+    assert gone(kept, 10.0)
     assert worker.stop(10.0)

@@ -1,9 +1,14 @@
-"""What was freed goes back to the system."""
+"""What was freed goes back to the system, and all threads take from the same pool."""
 
 import subprocess
 import sys
+import threading
+import weakref
+from pathlib import Path
 
 import pytest
+
+from softtissue_estimator.support.memory import gone
 
 PROGRAM = """
 from pathlib import Path
@@ -29,3 +34,49 @@ def test_what_was_freed_goes_back():
     at_once, in_all = map(float, done.stdout.split())
     assert in_all > 150.0
     assert at_once < in_all - 50.0, "there was something to give back"
+
+
+POOLS = """
+import sys, threading
+from pathlib import Path
+from softtissue_estimator.support.memory import one_pool
+from memory_pools import pools_of
+
+if sys.argv[1] == "one":
+    one_pool()
+together = threading.Barrier(4)
+
+def work():
+    held = [bytes(50_000) for _ in range(100)]
+    together.wait(10.0)
+    del held
+
+threads = [threading.Thread(target=work) for _ in range(4)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+print(pools_of("self"))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks the C library of Linux")
+@pytest.mark.parametrize(("chosen", "fewest", "most"), [("one", 0, 0), ("several", 2, 4)])
+def test_threads_take_from_one_pool(chosen, fewest, most):
+    path = f"import sys; sys.path.append({str(Path(__file__).parents[2])!r})\n"
+    done = subprocess.run(
+        [sys.executable, "-c", path + POOLS, chosen], check=True, capture_output=True, text=True
+    )
+    assert fewest <= int(done.stdout) <= most
+
+
+class Thing:
+    """Something that can be referred to weakly."""
+
+
+def test_a_thing_is_gone_when_the_last_reference_is():
+    things = [Thing()]
+    thing = weakref.ref(things[0])
+    assert not gone(thing, 0.0)
+    threading.Timer(0.05, things.clear).start()
+    assert gone(thing, 10.0)
