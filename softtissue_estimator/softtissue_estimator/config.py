@@ -59,6 +59,14 @@ class EstimatorConfig:
         "Start every answer from the one before and improve it between frames, as the node does by default; otherwise "
         "every frame is answered on its own. Used by 'elastic' and 'hybrid'.",
     )
+    tracking_patience_s: float = _setting(
+        0.1,
+        "With tracking, how long an answer waits at most for what is found out between frames, where that takes longer "
+        "than on two idle cores. If it is never reached, the same clouds have the same answers. Used by 'elastic' and "
+        "'hybrid'.",
+        unit="s",
+        limits=(0.0, 3600.0),
+    )
     default_sigma_m: float = _setting(
         0.001,
         "Standard deviation of each component of a correspondence that states none.",

@@ -26,7 +26,7 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent, to_tensor
 from softtissue_estimator.estimators.elastic.linear_gaussian import mean_displacement, standard_deviation
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
-from softtissue_estimator.estimators.elastic.relevance import Amplitudes, determine_relevance
+from softtissue_estimator.estimators.elastic.relevance import Amplitudes, Variances, determine_relevance
 from softtissue_estimator.estimators.elastic.solver import MODEL_ERROR_SHARE
 from softtissue_estimator.estimators.estimator import silent
 from softtissue_estimator.inference.device import choose_device
@@ -266,4 +266,8 @@ class _Registration:
                 response[0, ::3], self._config.prior_sigma_m**2 / power, dtype=torch.float64
             )
         gram = precision * response.T @ response
-        return determine_relevance(gram, precision * response.T @ observed, variances, _VARIANCE_UPDATES)
+        right = precision * response.T @ observed
+        prior = Variances(
+            variances, variances.new_zeros(())
+        )  # errors that neighbours share are not told from loads here
+        return determine_relevance(gram, right, prior, 0, _VARIANCE_UPDATES, 0.0)

@@ -7,8 +7,10 @@ from threadpoolctl import ThreadpoolController
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.diagnosis import Diagnosis, RegistrationEstimate
+from softtissue_estimator.estimators.elastic.doubts import doubts
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
-from softtissue_estimator.estimators.elastic.registration_error import told_error
+from softtissue_estimator.estimators.elastic.posterior import Posterior
+from softtissue_estimator.estimators.elastic.registration_error import RegistrationError, told_error
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.estimators.elastic.tracking import ElasticTracker
 from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progress, silent
@@ -90,7 +92,7 @@ class ElasticEstimator(Estimator):
         self._device = choose_device(config.device)
         self.device = str(self._device)
         self._model: ElasticModel | None = None
-        self._tracker = ElasticTracker() if config.tracking else None
+        self._tracker = ElasticTracker(config.tracking_patience_s) if config.tracking else None
         # On a busy machine threads that wait for each other turn milliseconds into hundreds.
         self._threads = ThreadpoolController()
 
@@ -153,9 +155,10 @@ class ElasticEstimator(Estimator):
         least = self._config.model_sigma_m
         motion = fit_patches(patches, least)
         watch.lap("rigid")
-        registration = model.registration
+        expected = model.registration
         if observation.registration_covariance is not None:
-            registration = told_error(model.organ.centre, observation.registration_covariance)
+            expected = told_error(model.organ.centre, observation.registration_covariance)
+        registration = expected
         if self._tracker is not None:
             self._tracker.catch_up(observation.stamp_s)
             registration = self._tracker.registration(registration)
@@ -166,9 +169,26 @@ class ElasticEstimator(Estimator):
         watch.lap("uncertainty")
         ratio = model.ratios.ratios[posterior.ratio]
         misfit, mean = solver.residual(posterior), posterior.mean.cpu().numpy()
-        known = posterior.registration_after
-        found = RegistrationEstimate(known.centre, known.correction, known.root @ known.root.T)
-        diagnosis = Diagnosis(found, 1.0 - float(kept.mean()))
+        diagnosis = self._diagnosis(model, patches, solver, posterior, expected, 1.0 - float(kept.mean()))
         estimate = ElasticEstimate(model, patches, misfit, ratio, mean, sigma, diagnosis, watch.stages)
         watch.lap("warp")
         return estimate
+
+    def _diagnosis(
+        self,
+        model: ElasticModel,
+        patches: ObservedPatches,
+        solver: Solver,
+        posterior: Posterior,
+        expected: RegistrationError,
+        outliers: float,
+    ) -> Diagnosis:
+        known = posterior.registration_after
+        found = RegistrationEstimate(known.centre, known.correction, known.root @ known.root.T)
+        lost = self._tracker is not None and self._tracker.lost
+        unexplained = solver.unexplained(posterior)
+        return Diagnosis(
+            found,
+            outliers,
+            doubts=doubts(posterior, model.body, patches.displacement, unexplained, expected, outliers, lost),
+        )

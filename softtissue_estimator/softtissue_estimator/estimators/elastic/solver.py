@@ -20,13 +20,14 @@ from softtissue_estimator.estimators.elastic.linear_gaussian import (
     standard_deviation,
     sum_up,
 )
+from softtissue_estimator.estimators.elastic.misfit import Misfit
 from softtissue_estimator.estimators.elastic.model import ElasticModel
 from softtissue_estimator.estimators.elastic.plausibility import plausible_fit
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest, settled
 from softtissue_estimator.estimators.elastic.relevance import Variances
-from softtissue_estimator.observation.patch_average import ObservedPatches, student_weights
+from softtissue_estimator.observation.patch_average import ObservedPatches
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import FloatArray
 
@@ -35,11 +36,6 @@ MOST_RATIO_CHANGES = 2
 VARIANCE_UPDATES = 5  # of the loads, a step
 FIRST_MODEL_SIGMA_M = 0.002  # error of the model in the first step, before there is a residual that shows it
 FIRST_FIELD_SIGMA_M = 0.0005  # of the field of errors, before the evidence tells it
-MOST_MODEL_SIGMA_M = 0.003
-"""Largest error of the model that is taken from a residual; implausible answers alone are fitted with larger ones."""
-# Neighbouring patches share the error of the model, so that many of them tell hardly more than one: the error that is
-# assumed of each patch on its own is this much larger.
-MODEL_SIGMA_OVER_MISFIT = 5.0
 # What the loads' posterior cannot know: elements and material are wrong by this share of what the organ bends.
 MODEL_ERROR_SHARE = 0.025
 LEAST_VARIANCE_SHARE = 1e-3
@@ -48,9 +44,6 @@ the loads that nothing was seen of, and with them the doubt about what is hidden
 LEAST_DEVIATION_M = 5e-5  # standard deviation of any answer, for all that the model does not describe
 LOST_TRACK_MISFIT_M = 0.0015
 """Where more than this is left unexplained, the organ has moved too far to be followed."""
-_OUTLIER_WEIGHT = (
-    0.25  # a patch is an outlier if its Student weight falls below; where none is, all count in full
-)
 _LARGER_MODEL_SIGMA_RATIO = 2.0  # from which on the fit is repeated with the error that its residual shows
 
 
@@ -80,7 +73,7 @@ class Solver:
     ) -> None:
         self._model, self._patches, self._registration = model, patches, registration
         self._positions = patches.reference + patches.displacement
-        self._prior_sigma_m, self._least_sigma_m = prior_sigma_m, model_sigma_m
+        self._prior_sigma_m, self._misfit = prior_sigma_m, Misfit(patches, model_sigma_m)
         self._field = smooth_error.columns(model.nodes, patches.reference)
         self._interpolation: csr_array = model.surface_interpolation(patches.reference)
         nodes = model.mesh.nodes
@@ -93,6 +86,11 @@ class Solver:
     def registration(self) -> RegistrationError:
         """What is known of the registration's error before the observation."""
         return self._registration
+
+    def unexplained(self, posterior: Posterior) -> float:
+        """Return the root mean square of what neither the answer nor the noise explains, m; outliers count little."""
+        residual = self.residual(posterior)
+        return self._misfit.unexplained(residual, self._misfit.weights(residual, posterior.model_sigma_m))
 
     @property
     def ratios(self) -> frozenset[int]:
@@ -113,7 +111,7 @@ class Solver:
         """Return the logarithm of a posterior's evidence with another error of the model, m."""
         if posterior.model_sigma_m == sigma:
             return posterior.log_evidence
-        weight = self._weights(self.residual(posterior), posterior.model_sigma_m)
+        weight = self._misfit.weights(self.residual(posterior), posterior.model_sigma_m)
         return self._explain(
             posterior.tangent,
             posterior.registration,
@@ -127,7 +125,7 @@ class Solver:
     def with_registration(self, posterior: Posterior, registration: RegistrationError) -> Posterior:
         """Explain the observation again, linear about the same state, with another registration supposed."""
         sigma = posterior.model_sigma_m
-        weight = self._weights(self.residual(posterior), sigma)
+        weight = self._misfit.weights(self.residual(posterior), sigma)
         return self._explain(
             posterior.tangent, registration, posterior.amplitudes.prior, sigma, weight, 1, posterior.ratio
         )
@@ -150,11 +148,11 @@ class Solver:
             )
             posterior = self._plausible(explain, sigma)
             residual = self.residual(posterior)
-            weight = self._weights(residual, posterior.model_sigma_m)
-            misfit = self._misfit(residual, weight)
+            weight = self._misfit.weights(residual, posterior.model_sigma_m)
+            misfit = self._misfit.unexplained(residual, weight)
             # Loads that explained the earlier observation closely explain this one at any price, however far they move
             # what is hidden.
-            sigma = max(sigma, self._model_sigma(misfit))
+            sigma = max(sigma, self._misfit.model_sigma(misfit))
             if weight.min() == 1.0 and sigma <= _LARGER_MODEL_SIGMA_RATIO * posterior.model_sigma_m:
                 break
         if misfit >= LOST_TRACK_MISFIT_M:
@@ -214,7 +212,7 @@ class Solver:
         ratio = posterior.ratio if ratio is None else ratio
         variances = posterior.amplitudes.prior if variances is None else variances
         residual = self.residual(posterior)
-        weight = self._weights(residual, posterior.model_sigma_m)
+        weight = self._misfit.weights(residual, posterior.model_sigma_m)
         body = self._model.body
         state = body.guarded(posterior.tangent.state, posterior.mean) if guarded else posterior.mean
         tangent = body.linearise(state, self._rest, self._model.ratios.ratios[ratio])
@@ -222,7 +220,7 @@ class Solver:
             lambda sigma: self._explain(
                 tangent, registration, variances, sigma, weight, VARIANCE_UPDATES, ratio
             ),
-            self._model_sigma(self._misfit(residual, weight)),
+            self._misfit.model_sigma(self._misfit.unexplained(residual, weight)),
         )
 
     def residual(self, posterior: Posterior) -> FloatArray:
@@ -298,17 +296,3 @@ class Solver:
     def _observed(self, registration: RegistrationError, precision: FloatArray) -> ObservedNodes:
         """Sum the observation up at the nodes."""
         return sum_up(self._interpolation, self._displacement(registration), precision, self._model.device)
-
-    def _weights(self, residual: FloatArray, sigma: float) -> FloatArray:
-        weight = student_weights(residual, self._patches.precision_with(sigma))
-        return weight if weight.min() < _OUTLIER_WEIGHT else np.ones_like(weight)
-
-    def _misfit(self, residual: FloatArray, weight: FloatArray) -> float:
-        """Root mean square of what the observation's own noise does not explain of the residual, m."""
-        squared = np.einsum("cd,cd->c", residual, residual) / 3.0
-        unexplained = float(np.average(squared - 1.0 / self._patches.precision, weights=weight))
-        return float(np.sqrt(max(unexplained, 0.0)))
-
-    def _model_sigma(self, misfit: float) -> float:
-        """Error of the model, m, where the observation leaves so much unexplained."""
-        return float(np.clip(MODEL_SIGMA_OVER_MISFIT * misfit, self._least_sigma_m, MOST_MODEL_SIGMA_M))

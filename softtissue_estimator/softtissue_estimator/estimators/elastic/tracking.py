@@ -1,23 +1,22 @@
 """Answer a stream of observations: each about the state of the one before, which a thread improves meanwhile.
 
 What the thread makes of an observation is taken over by the first one that is made `STEP_S` later, by the stamps of
-both, and waited for where it is not ready: the same stream gives the same answers however fast the machine is.
+both, and waited for where it is not ready: with enough patience the same stream has the same answers on every machine.
 """
 
 import logging
 import threading
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import torch
 
+from softtissue_estimator.estimators.elastic.improvement import Task, improve
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart, warm_start
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
-from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest, unfettered
 from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.estimators.elastic.solver import Solver
-from softtissue_estimator.inference.device import one_thread
 
 _log = logging.getLogger(__name__)
 STEP_S = 0.3
@@ -28,46 +27,11 @@ _FIRST_STEPS = 2  # of these in the first step about a rigid motion
 UNSTAMPED_S = 0.1  # between two observations that do not say when they were made
 _JITTER_S = 0.01  # of stamps
 _LEAST_VARIANCE_SHARE = 1e-3  # of the largest: with less no load starts a step of the thread
-_CATCHING_UP_STEPS = 4  # after a start, of which nothing is learned about the registration's constancy
-_STEPS_PER_HIDDEN_VARIANCE = 3  # which changes slowly and takes as long as a fifth of a step
-_THREADS = 3  # at most: several sizes of the registration's error are tried at once
-_STEPS_PER_RATIO_TRIAL = 4  # of the thread, which tries another Poisson's ratio in one of them
-_LEAST_LOG_EVIDENCE_GAIN = 1.0  # from which on another ratio is taken: a smaller one may be noise
+_HELPERS = 2  # threads that the first step shares its work with
 _STILL_DISTANCE_M = 0.001  # an organ that has moved by less since it was made linear is so nearly enough
 _SETTLED_STEPS = 12  # of the thread about a still organ; every ratio nearby is tried in as many
 _STILL_REFRESH_S = 1.0  # after which it makes another: the observed part of a still organ may change
 _START_VARIANCE_UPDATES = 2  # of all loads; the thread makes more
-
-
-@dataclass(frozen=True, eq=False)
-class _Task:
-    """An answered observation, to be explained better.
-
-    Attributes
-    ----------
-    solver : Solver
-    posterior : Posterior
-        From which to go on.
-    variances : Variances
-        Of all loads.
-    rigid : bool
-        Whether that is about a rigid motion.
-    ratio : int or None
-        Poisson's ratio to suppose; that of `posterior` where it is not known.
-    number : int
-        Of steps since the organ was linear about a rigid motion.
-    registration : RegistrationFilter
-    stamp_s : float
-    """
-
-    solver: Solver
-    posterior: Posterior
-    variances: Variances
-    rigid: bool
-    ratio: int | None
-    number: int
-    registration: RegistrationFilter
-    stamp_s: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,20 +74,30 @@ class ElasticTracker:
     `Solver.solve` ends, and then leaves the processor to others.
 
     `answer` is called from one thread at a time, `forget` and its like from any.
+
+    Parameters
+    ----------
+    patience_s : float
+        How long an answer waits for the thread at most. On a machine that is too busy for the thread it goes on
+        without, and later ones ask again: answers then depend on how busy it is.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, patience_s: float) -> None:
+        self._patience_s = patience_s
         self._lock = threading.Lock()
         self._memory = _Memory()
         self._registration: RegistrationFilter | None = None
-        self._pending: tuple[_Task, Future[tuple[Posterior, WarmStart]]] | None = None
+        self._pending: tuple[Task, Future[tuple[Posterior, WarmStart]]] | None = None
         self._stamp_s, self._frames = (
             0.0,
             0,
         )  # of the newest observation; since the thread was given something
         self._closed = False
         # Threads of an executor are waited for when the interpreter ends: torch aborts where one is cut off.
-        self._executor = ThreadPoolExecutor(_THREADS, "tracker")
+        self._executor = ThreadPoolExecutor(1, "tracker")
+        self._helpers = ThreadPoolExecutor(
+            _HELPERS, "tracker-helper"
+        )  # of its own: what waits must not be in its way
 
     def registration(self, expected: RegistrationError) -> RegistrationError:
         """Return what is known of the registration before the next frame."""
@@ -131,6 +105,12 @@ class ElasticTracker:
             if self._registration is None:
                 self._registration = RegistrationFilter(expected)
             return self._registration.supposed
+
+    @property
+    def lost(self) -> bool:
+        """Whether an organ that was known could not be followed, and no step has been made since."""
+        with self._lock:
+            return self._memory.rigid and self._memory.ratio is not None
 
     def catch_up(self, stamp_s: float | None) -> None:
         """Take over what the thread has made, as of an observation that is to be answered next.
@@ -148,8 +128,12 @@ class ElasticTracker:
                 return
         task, future = pending
         try:
-            better, state = future.result()
+            better, state = future.result(self._patience_s)
+        except CancelledError:
+            return
         except Exception as error:
+            if not future.done():
+                return  # the next observation asks again
             _log.error("the elastic posterior was not improved between frames: %s", error)
             self.forget()
             return
@@ -212,7 +196,7 @@ class ElasticTracker:
             if self._closed or self._pending is not None or (still and rests):
                 return
             self._memory = replace(memory, steps=0 if memory.rigid else memory.steps + 1)
-            task = _Task(
+            task = Task(
                 solver,
                 posterior,
                 variances,
@@ -222,7 +206,7 @@ class ElasticTracker:
                 registration,
                 self._stamp_s,
             )
-            self._pending, self._frames = (task, self._executor.submit(self._improve, task)), 0
+            self._pending, self._frames = (task, self._executor.submit(improve, task, self._helpers)), 0
 
     def _start(self, solver: Solver) -> tuple[Posterior, WarmStart]:
         """Explain an observation about its rigid motion; what comes next follows this answer, which takes long."""
@@ -234,78 +218,38 @@ class ElasticTracker:
     def _return_to(self, memory: _Memory) -> _Memory:
         """Go on from before a loss; what the thread makes of observations since is not taken."""
         with self._lock:
-            self._pending = None
+            self._give_up()
         return replace(memory, state=memory.before_loss, rigid=False)
+
+    def _give_up(self) -> None:
+        if self._pending is not None:
+            self._pending[0].given_up.set()
+        self._pending = None
 
     def forget(self) -> None:
         """Forget all observations."""
         with self._lock:
-            self._memory, self._registration, self._pending = _Memory(), None, None
+            self._memory, self._registration = _Memory(), None
+            self._give_up()
 
     def forget_registration(self) -> None:
         """Forget what is known of the registration, not of the organ."""
         with self._lock:
-            self._registration, self._pending = None, None
+            self._registration = None
+            self._give_up()
 
     def close(self) -> None:
         """Forget all observations and end the thread."""
         self.forget()
         with self._lock:
             self._closed = True
-        self._executor.shutdown(wait=False, cancel_futures=True)
-
-    def _improve(self, task: _Task) -> tuple[Posterior, WarmStart]:
-        with one_thread():
-            better = self._improved(task)
-            hidden = task.posterior.hidden_variance
-            if hidden is None or task.number % _STEPS_PER_HIDDEN_VARIANCE == 0:
-                hidden = task.solver.hidden_variance(better)
-            return better, warm_start(better, hidden)
-
-    def _improved(self, task: _Task) -> Posterior:
-        known, solver = task.registration, task.solver
-        if task.rigid:
-            # The first step about a rigid motion: how exact the registration is must be found out, too.
-            others = [
-                self._executor.submit(_explained_alone, solver, known.supposed, scale)
-                for scale in known.scales[1:]
-            ]
-            found = [explained(solver, known.supposed, known.scales[0])]
-            return likeliest(solver, found + [other.result() for other in others])
-        better = self._step(task, task.ratio)
-        if task.number > _CATCHING_UP_STEPS:
-            better = unfettered(solver, better)
-        ratio_step = _ratio_step(task.number)
-        if ratio_step and better.ratio + ratio_step in solver.ratios:
-            other = self._step(task, better.ratio + ratio_step)
-            if other.log_evidence > better.log_evidence + _LEAST_LOG_EVIDENCE_GAIN:
-                better = other
-        return better
-
-    def _step(self, task: _Task, ratio: int | None) -> Posterior:
-        return task.solver.improve(
-            task.posterior,
-            task.variances,
-            guarded=True,
-            ratio=ratio,
-            registration=task.registration.supposed,
-        )
+        for threads in (self._executor, self._helpers):
+            threads.shutdown(wait=False, cancel_futures=True)
 
 
-def _explained_alone(solver: Solver, registration: RegistrationError, scale: float) -> Posterior:
-    with one_thread():
-        return explained(solver, registration, scale)
-
-
-def _ratio_step(number: int) -> int:
-    """Return towards which other Poisson's ratio a step of the thread looks, 1 or -1; most look at none, 0."""
-    trial, remainder = divmod(number, _STEPS_PER_RATIO_TRIAL)
-    return 0 if remainder or not trial else (1, -1)[(trial - 1) % 2]
-
-
-def _is_due(task: _Task, stamp_s: float, frames: int) -> bool:
+def _is_due(task: Task, stamp_s: float, frames: int) -> bool:
     """Tell whether an observation, so many frames after another one, takes over what the thread makes of that."""
-    steps = _FIRST_STEPS if task.rigid else 1 + abs(_ratio_step(task.number))
+    steps = _FIRST_STEPS if task.rigid else 1 + abs(task.ratio_step)
     passed_s = stamp_s - task.stamp_s
     # Where few frames are answered, each step serves some of them; stamps may stand still or go back.
     enough = frames >= _LEAST_FRAMES

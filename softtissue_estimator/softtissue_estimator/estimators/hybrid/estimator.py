@@ -147,6 +147,10 @@ class HybridEstimator(Estimator):
         """See `Estimator.forget`."""
         self._elastic.forget()
 
+    def forget_registration(self) -> None:
+        """See `Estimator.forget_registration`."""
+        self._elastic.forget_registration()
+
     def close(self) -> None:
         """See `Estimator.close`."""
         self._elastic.close()

@@ -43,7 +43,7 @@ def alone():
 
 @pytest.fixture
 def stream(alone):
-    estimator = ElasticEstimator(dataclasses.replace(KNOWN, tracking=True))
+    estimator = ElasticEstimator(dataclasses.replace(KNOWN, tracking=True, tracking_patience_s=PATIENCE_S))
     estimator.load_organ(ORGAN)
     yield estimator
     estimator.close()
@@ -108,7 +108,7 @@ def test_the_thread_rests_while_the_organ_does_and_wakes_when_it_moves(stream, m
 
 
 def test_the_tissue_is_recognised_while_the_organ_is_watched():
-    stream = ElasticEstimator(EstimatorConfig(tracking=True))
+    stream = ElasticEstimator(EstimatorConfig(tracking=True, tracking_patience_s=PATIENCE_S))
     stream.load_organ(ORGAN)
     try:
         truth = pushed(stream.mesh, 0.45)
@@ -189,7 +189,7 @@ def test_a_stream_has_the_same_answers_however_busy_the_machine_is(monkeypatch, 
     monkeypatch.setattr(Solver, "improve", slow)
 
     def answers():
-        stream = ElasticEstimator(dataclasses.replace(KNOWN, tracking=True))
+        stream = ElasticEstimator(dataclasses.replace(KNOWN, tracking=True, tracking_patience_s=PATIENCE_S))
         stream.load_organ(ORGAN)
         try:
             for number, size in enumerate([*np.linspace(0.0, 2.5, 14), -1.0, -0.9, -0.8]):
@@ -210,7 +210,7 @@ def test_what_is_forgotten_does_not_come_back(stream):
         stream.estimate(observed(3.0))
     stream.forget()
     first = stream.estimate(observed(1.0))
-    other = ElasticEstimator(dataclasses.replace(KNOWN, tracking=True))
+    other = ElasticEstimator(dataclasses.replace(KNOWN, tracking=True, tracking_patience_s=PATIENCE_S))
     other.load_organ(ORGAN)
     try:
         np.testing.assert_allclose(first.displacement, other.estimate(observed(1.0)).displacement, atol=1e-9)

@@ -23,6 +23,8 @@ from softtissue_training.evaluation.streams.recording import AnyStream
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
+PATIENCE_S = 3600.0
+"""Of trackers: figures must not depend on how busy the machine is."""
 MEMORYLESS_STRIDE = 10
 """Estimators without a history answer every so many frames."""
 IMPROVES_BETWEEN_FRAMES = ("elastic", "hybrid")
@@ -110,6 +112,7 @@ class StreamMethod:
                 checkpoint=str(self.spec.checkpoint or ""),
                 device=self.spec.device,
                 tracking=True,
+                tracking_patience_s=PATIENCE_S,
             )
             self._estimator = create_estimator(config)
         if self.paced is None:

@@ -1,0 +1,132 @@
+"""One more step about an answered observation, with all loads: what the tracker's thread does between frames."""
+
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from threading import Event
+
+from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart, warm_start
+from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
+from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest, unfettered
+from softtissue_estimator.estimators.elastic.relevance import Variances
+from softtissue_estimator.estimators.elastic.solver import Solver
+from softtissue_estimator.inference.device import one_thread
+
+CATCHING_UP_STEPS = 4
+"""After a start, which tell nothing of the registration's constancy: the organ is not yet linear where it is."""
+STEPS_PER_HIDDEN_VARIANCE = 3
+"""Which changes slowly and takes as long as a fifth of a step."""
+STEPS_PER_RATIO_TRIAL = 4
+"""One of so many looks at another Poisson's ratio, too."""
+LEAST_LOG_EVIDENCE_GAIN = 1.0
+"""From which on another ratio is taken: a smaller one may be noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """An answered observation, to be explained better.
+
+    Attributes
+    ----------
+    solver : Solver
+    posterior : Posterior
+        From which to go on.
+    variances : Variances
+        Of all loads.
+    rigid : bool
+        Whether that is about a rigid motion.
+    ratio : int or None
+        Poisson's ratio to suppose; that of `posterior` where it is not known.
+    number : int
+        Of steps since the organ was linear about a rigid motion.
+    registration : RegistrationFilter
+    stamp_s : float
+        Of the observation.
+    given_up : Event
+        Set when nobody wants the step any more: what is not yet begun of it is left.
+    """
+
+    solver: Solver
+    posterior: Posterior
+    variances: Variances
+    rigid: bool
+    ratio: int | None
+    number: int
+    registration: RegistrationFilter
+    stamp_s: float
+    given_up: Event = field(default_factory=Event)
+
+    def go_on(self) -> None:
+        """Raise CancelledError where the step is given up."""
+        if self.given_up.is_set():
+            raise CancelledError
+
+    @property
+    def ratio_step(self) -> int:
+        """Towards which other Poisson's ratio it looks, 1 or -1; most look at none, 0."""
+        trial, remainder = divmod(self.number, STEPS_PER_RATIO_TRIAL)
+        return 0 if self.rigid or remainder or not trial else (1, -1)[(trial - 1) % 2]
+
+
+def improve(task: Task, helpers: ThreadPoolExecutor) -> tuple[Posterior, WarmStart]:
+    """Make a step.
+
+    Parameters
+    ----------
+    task : Task
+    helpers : ThreadPoolExecutor
+        For what can be tried at once: two sizes of the registration's error, beside a third.
+
+    Returns
+    -------
+    posterior : Posterior
+        With all loads.
+    state : WarmStart
+        For the next observation.
+
+    Raises
+    ------
+    CancelledError
+        If it was given up.
+    """
+    with one_thread():
+        better = _start(task, helpers) if task.rigid else _step(task)
+        hidden = task.posterior.hidden_variance
+        if hidden is None or task.number % STEPS_PER_HIDDEN_VARIANCE == 0:
+            hidden = task.solver.hidden_variance(better)
+        return better, warm_start(better, hidden)
+
+
+def _start(task: Task, helpers: ThreadPoolExecutor) -> Posterior:
+    """Explain an observation from its rigid motion on; how exact the registration is must be found out, too."""
+    known = task.registration
+    others = [helpers.submit(_explained, task, scale) for scale in known.scales[1:]]
+    first = _explained(task, known.scales[0])
+    return likeliest(task.solver, [first, *(other.result() for other in others)])
+
+
+def _explained(task: Task, scale: float) -> Posterior:
+    task.go_on()
+    with one_thread():
+        return explained(task.solver, task.registration.supposed, scale)
+
+
+def _step(task: Task) -> Posterior:
+    task.go_on()
+    better = _improved(task, task.ratio)
+    if task.number > CATCHING_UP_STEPS:
+        better = unfettered(task.solver, better)
+    if task.ratio_step and better.ratio + task.ratio_step in task.solver.ratios:
+        other = _improved(task, better.ratio + task.ratio_step)
+        if other.log_evidence > better.log_evidence + LEAST_LOG_EVIDENCE_GAIN:
+            better = other
+    return better
+
+
+def _improved(task: Task, ratio: int | None) -> Posterior:
+    return task.solver.improve(
+        task.posterior,
+        task.variances,
+        guarded=True,
+        ratio=ratio,
+        registration=task.registration.supposed,
+    )
