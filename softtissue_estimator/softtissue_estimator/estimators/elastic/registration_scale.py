@@ -24,14 +24,13 @@ class Explaining(Protocol):
     def start(self, registration: RegistrationError) -> Posterior:
         """See `Solver.start`."""
 
-    def with_registration(self, posterior: Posterior, registration: RegistrationError) -> Posterior:
-        """See `Solver.with_registration`."""
-
     def improve(self, posterior: Posterior, *, guarded: bool) -> Posterior:
         """See `Solver.improve`."""
 
-    def evidence_with(self, posterior: Posterior, sigma: float) -> float:
-        """See `Solver.evidence_with`."""
+    def again(
+        self, posterior: Posterior, registration: RegistrationError, sigma: float, updates: int
+    ) -> Posterior:
+        """See `Solver.again`."""
 
 
 def explained(solver: Explaining, registration: RegistrationError, scale: float) -> Posterior:
@@ -44,13 +43,21 @@ def likeliest(solver: Explaining, found: Sequence[Posterior]) -> Posterior:
     """Return the posterior of the observation with the largest evidence."""
     # With the same error of the model: a larger one would excuse what is left unexplained.
     sigma = min(posterior.model_sigma_m for posterior in found)
-    return max(found, key=lambda posterior: solver.evidence_with(posterior, sigma))
+
+    def evidence(posterior: Posterior) -> float:
+        if posterior.model_sigma_m == sigma:
+            return posterior.log_evidence
+        return solver.again(posterior, posterior.registration, sigma, 0).log_evidence
+
+    return max(found, key=evidence)
 
 
 def unfettered(solver: Explaining, posterior: Posterior) -> Posterior:
     """Suppose a registration that is less sure, where the observation moved it so far that this is likelier."""
     for _ in range(MOST_DOUBLINGS):
-        wider = solver.with_registration(posterior, posterior.registration.scaled(DOUBT_FACTOR))
+        wider = solver.again(
+            posterior, posterior.registration.scaled(DOUBT_FACTOR), posterior.model_sigma_m, 1
+        )
         if wider.log_evidence < posterior.log_evidence + LEAST_GAIN:
             break
         posterior = wider

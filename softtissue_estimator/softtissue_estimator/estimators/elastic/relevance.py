@@ -7,7 +7,7 @@ observation too: a field of one variance for all its values, re-estimated in the
 parameters with the prior N(0, I), whose variances stay (`registration_error`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -42,6 +42,10 @@ class Variances:
     def at_least(self, share: float) -> "Variances":
         """Return variances of the loads that are at least a share of the largest."""
         return Variances(self.loads.clamp_min(share * float(self.loads.max())), self.field)
+
+    def at_least_each(self, least: Tensor) -> "Variances":
+        """Return variances of the loads that are at least those of `least`, (p,)."""
+        return Variances(torch.maximum(self.loads, least), self.field)
 
     def roots(self, field: int, rank: int) -> Tensor:
         """Prior standard deviation of every parameter, (rank,), if the field has so many values."""
@@ -82,7 +86,7 @@ class Amplitudes:
         least : (p,) float64
             Of each load.
         """
-        prior = replace(self.prior, loads=torch.maximum(self.variances, least))
+        prior = self.prior.at_least_each(least)
         factor, _ = _posterior(self.gram, torch.zeros_like(self.mean), prior, self.field_values)
         return Amplitudes(self.mean, prior, self.field_values, factor, self.gram)
 
@@ -159,7 +163,7 @@ def determine_relevance(
     for _ in range(updates):
         variances = _reestimated(gram, right, variances, kept, field_values, least_field)
         # An irrelevant load moves nothing, and takes as long as another one.
-        kept = torch.nonzero(variances.loads > PRUNED_SHARE * variances.loads.max())[:, 0]
+        kept = torch.nonzero(variances.loads >= PRUNED_SHARE * variances.loads.max())[:, 0]
     factor, mean = _posterior(gram, right, variances, field_values)
     return Amplitudes(mean, variances, field_values, factor, gram)
 

@@ -42,8 +42,12 @@ LEAST_VARIANCE_SHARE = 1e-3
 """Of a load's variance before any observation, which stays in the standard deviation: relevance determination prunes
 the loads that nothing was seen of, and with them the doubt about what is hidden."""
 LEAST_DEVIATION_M = 5e-5  # standard deviation of any answer, for all that the model does not describe
+LEAST_START_SHARE = 1e-4
+"""Of a load's variance before any observation, with which a step begins that goes on from earlier ones: an organ at
+rest leaves none, and without any nothing could move it again."""
 LOST_TRACK_MISFIT_M = 0.0015
 """Where more than this is left unexplained, the organ has moved too far to be followed."""
+_FIELD_SIGMAS = 2.0  # that the field of errors may explain; what is larger is a motion of the organ
 _LARGER_MODEL_SIGMA_RATIO = 2.0  # from which on the fit is repeated with the error that its residual shows
 
 
@@ -107,27 +111,14 @@ class Solver:
                 break
         return posterior
 
-    def evidence_with(self, posterior: Posterior, sigma: float) -> float:
-        """Return the logarithm of a posterior's evidence with another error of the model, m."""
-        if posterior.model_sigma_m == sigma:
-            return posterior.log_evidence
+    def again(
+        self, posterior: Posterior, registration: RegistrationError, sigma: float, updates: int
+    ) -> Posterior:
+        """Explain the observation again about the same state, with another registration or error of the model."""
         weight = self._misfit.weights(self.residual(posterior), posterior.model_sigma_m)
+        variances = posterior.amplitudes.prior
         return self._explain(
-            posterior.tangent,
-            posterior.registration,
-            posterior.amplitudes.prior,
-            sigma,
-            weight,
-            0,
-            posterior.ratio,
-        ).log_evidence
-
-    def with_registration(self, posterior: Posterior, registration: RegistrationError) -> Posterior:
-        """Explain the observation again, linear about the same state, with another registration supposed."""
-        sigma = posterior.model_sigma_m
-        weight = self._misfit.weights(self.residual(posterior), sigma)
-        return self._explain(
-            posterior.tangent, registration, posterior.amplitudes.prior, sigma, weight, 1, posterior.ratio
+            posterior.tangent, registration, variances, sigma, weight, updates, posterior.ratio
         )
 
     def follow(self, start: WarmStart) -> Posterior | None:
@@ -155,7 +146,9 @@ class Solver:
             sigma = max(sigma, self._misfit.model_sigma(misfit))
             if weight.min() == 1.0 and sigma <= _LARGER_MODEL_SIGMA_RATIO * posterior.model_sigma_m:
                 break
-        if misfit >= LOST_TRACK_MISFIT_M:
+        beyond = self._misfit.unexplained(residual + self._field_at_patches(posterior), weight)
+        known = _FIELD_SIGMAS * float(start.variances.field.sqrt())
+        if misfit >= LOST_TRACK_MISFIT_M or beyond >= np.hypot(LOST_TRACK_MISFIT_M, known):
             return None
         return replace(posterior, hidden_variance=start.hidden_variance)
 
@@ -199,7 +192,7 @@ class Solver:
         posterior : Posterior
             From which to go on.
         variances : Variances or None
-            Of all loads and of the field of errors; those of `posterior` by default.
+            Of all loads and of the field of errors, from earlier observations; those of `posterior` by default.
         guarded : bool
             Whether to stop short of collapsing elements.
         ratio : int or None
@@ -210,16 +203,19 @@ class Solver:
         if registration is None:
             registration = posterior.registration.moved_by(posterior.registration_step)
         ratio = posterior.ratio if ratio is None else ratio
-        variances = posterior.amplitudes.prior if variances is None else variances
         residual = self.residual(posterior)
         weight = self._misfit.weights(residual, posterior.model_sigma_m)
         body = self._model.body
         state = body.guarded(posterior.tangent.state, posterior.mean) if guarded else posterior.mean
         tangent = body.linearise(state, self._rest, self._model.ratios.ratios[ratio])
+        if variances is None:
+            begin = posterior.amplitudes.prior
+        else:
+            observed = self._observed(registration, self._patches.precision)
+            least = LEAST_START_SHARE * equal_variances(tangent, observed, self._prior_sigma_m)
+            begin = variances.at_least_each(least)
         return self._plausible(
-            lambda sigma: self._explain(
-                tangent, registration, variances, sigma, weight, VARIANCE_UPDATES, ratio
-            ),
+            lambda sigma: self._explain(tangent, registration, begin, sigma, weight, VARIANCE_UPDATES, ratio),
             self._misfit.model_sigma(self._misfit.unexplained(residual, weight)),
         )
 
@@ -228,6 +224,11 @@ class Solver:
         shift = self._errors(posterior.tangent, posterior.registration).displacement(posterior.amplitudes)
         expected = self._interpolation @ (posterior.mean + shift).cpu().numpy()
         return np.asarray(self._displacement(posterior.registration) - expected)
+
+    def _field_at_patches(self, posterior: Posterior) -> FloatArray:
+        """Mean of the field of errors, (c, 3) m."""
+        values = posterior.amplitudes.errors[: posterior.amplitudes.field_values]
+        return np.asarray(self._interpolation @ (self._field @ values).cpu().numpy())
 
     def _displacement(self, registration: RegistrationError) -> FloatArray:
         """Observed displacement of each patch with what is supposed of the registration taken out, (c, 3) m."""

@@ -5,6 +5,8 @@ both, and waited for where it is not ready: with enough patience the same stream
 """
 
 import logging
+import os
+import sys
 import threading
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -27,6 +29,7 @@ _FIRST_STEPS = 2  # of these in the first step about a rigid motion
 UNSTAMPED_S = 0.1  # between two observations that do not say when they were made
 _JITTER_S = 0.01  # of stamps
 _LEAST_VARIANCE_SHARE = 1e-3  # of the largest: with less no load starts a step of the thread
+_NICENESS = 10  # of the threads: frames come first
 _HELPERS = 2  # threads that the first step shares its work with
 _STILL_DISTANCE_M = 0.001  # an organ that has moved by less since it was made linear is so nearly enough
 _SETTLED_STEPS = 12  # of the thread about a still organ; every ratio nearby is tried in as many
@@ -94,10 +97,9 @@ class ElasticTracker:
         )  # of the newest observation; since the thread was given something
         self._closed = False
         # Threads of an executor are waited for when the interpreter ends: torch aborts where one is cut off.
-        self._executor = ThreadPoolExecutor(1, "tracker")
-        self._helpers = ThreadPoolExecutor(
-            _HELPERS, "tracker-helper"
-        )  # of its own: what waits must not be in its way
+        self._executor = ThreadPoolExecutor(1, "tracker", _step_back)
+        # Of their own: what waits for them must not be in their way.
+        self._helpers = ThreadPoolExecutor(_HELPERS, "tracker-helper", _step_back)
 
     def registration(self, expected: RegistrationError) -> RegistrationError:
         """Return what is known of the registration before the next frame."""
@@ -254,6 +256,13 @@ def _is_due(task: Task, stamp_s: float, frames: int) -> bool:
     # Where few frames are answered, each step serves some of them; stamps may stand still or go back.
     enough = frames >= _LEAST_FRAMES
     return enough and not 0.0 < passed_s < steps * STEP_S - _JITTER_S
+
+
+def _step_back() -> None:
+    """Let other threads of the process come first."""
+    if sys.platform == "linux":
+        # There, and only there, a thread has a priority of its own.
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
 
 
 def _distance(first: torch.Tensor, second: torch.Tensor) -> float:

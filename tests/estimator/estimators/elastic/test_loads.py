@@ -1,13 +1,29 @@
 """The loads that an organ may bear."""
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.spatial import cKDTree
 
 from estimator.shapes import box_tets
 from softtissue_estimator.estimators.elastic.elasticity import nodal_areas, nodal_volumes
-from softtissue_estimator.estimators.elastic.loads import MOST_PATCHES, PATCH_SPACING_M, load_basis
+from softtissue_estimator.estimators.elastic.loads import MOST_PATCHES, PATCH_SPACING_M, SIZES, load_basis
 
 MESH = box_tets((0.08, 0.05, 0.03), (9, 6, 4))
+
+
+def patches_of_one_size(mesh, size, monkeypatch):
+    """Patches (n, k) of a single size."""
+    with monkeypatch.context() as context:
+        context.setattr("softtissue_estimator.estimators.elastic.loads.SIZES", (size,))
+        return load_basis(mesh)[:, :-1]
+
+
+def middles_and_widths(mesh, patches):
+    """Where each patch pushes most, (k, 3) m, and how far from there its root mean square is, (k,) m."""
+    centres = mesh.nodes[patches.argmax(axis=0)]
+    squared = ((mesh.nodes[:, None] - centres) ** 2).sum(axis=2)
+    return centres, np.sqrt((patches * squared).sum(axis=0))
 
 
 def test_every_load_is_one_newton_and_the_last_is_weight():
@@ -16,14 +32,25 @@ def test_every_load_is_one_newton_and_the_last_is_weight():
     np.testing.assert_allclose(loads[:, -1], nodal_volumes(MESH) / MESH.volumes.sum())
 
 
-def test_patches_act_on_the_surface_and_cover_it():
-    patches = load_basis(MESH)[:, :-1]
+def test_patches_of_every_size_act_on_the_surface_and_cover_it(monkeypatch):
     surface = nodal_areas(MESH) > 0.0
-    assert (patches[~surface] == 0.0).all()
-    centres = MESH.nodes[patches.argmax(axis=0)]
-    assert cKDTree(centres).query(MESH.nodes[surface])[0].max() < 2.0 * PATCH_SPACING_M
-    width = np.sqrt((patches * ((MESH.nodes[:, None] - centres) ** 2).sum(axis=2)).sum(axis=0))
-    assert (width < 2.0 * PATCH_SPACING_M).all()
+    counts = []
+    for size in SIZES:
+        patches = patches_of_one_size(MESH, size, monkeypatch)
+        assert (patches[~surface] == 0.0).all()
+        centres, width = middles_and_widths(MESH, patches)
+        assert cKDTree(centres).query(MESH.nodes[surface])[0].max() < 2.0 * size * PATCH_SPACING_M
+        assert (width < 2.0 * size * PATCH_SPACING_M).all()
+        counts.append(patches.shape[1])
+    assert all(coarse < fine for fine, coarse in pairwise(counts))
+
+
+def test_loads_are_patches_of_all_sizes_with_the_fine_ones_first(monkeypatch):
+    by_size = [patches_of_one_size(MESH, size, monkeypatch) for size in SIZES]
+    np.testing.assert_array_equal(load_basis(MESH)[:, :-1], np.concatenate(by_size, axis=1))
+    widths = [np.median(middles_and_widths(MESH, patches)[1]) for patches in by_size]
+    # A wide patch is bent about edges of a small organ.
+    assert 1.5 < widths[1] / widths[0] < SIZES[1] / SIZES[0] + 0.1
 
 
 def test_far_from_a_patch_nothing_pushes_rather_than_next_to_nothing():
@@ -34,9 +61,16 @@ def test_far_from_a_patch_nothing_pushes_rather_than_next_to_nothing():
     assert pushing.min() > 1e-20 > np.finfo(np.float32).tiny
 
 
-def test_large_organs_get_larger_patches_not_more():
+def test_large_organs_get_larger_patches_not_more(monkeypatch):
     large = box_tets((0.30, 0.20, 0.15), (24, 16, 12))
-    assert load_basis(large).shape[1] == MOST_PATCHES + 1
+    fine = patches_of_one_size(large, SIZES[0], monkeypatch)
+    assert fine.shape[1] == MOST_PATCHES
+    whole = load_basis(large)[:, :-1]
+    np.testing.assert_array_equal(whole[:, :MOST_PATCHES], fine)
+    # What is wide is so in proportion to what is fine.
+    widths = middles_and_widths(large, whole)[1]
+    assert np.median(widths[:MOST_PATCHES]) > 1.3 * np.sqrt(2.0) * PATCH_SPACING_M * 11.0 / 12.0
+    assert 1.7 < np.median(widths[MOST_PATCHES:]) / np.median(widths[:MOST_PATCHES]) < 2.3
 
 
 def test_nothing_pushes_what_is_attached():

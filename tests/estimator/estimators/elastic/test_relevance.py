@@ -1,53 +1,149 @@
 """Automatic relevance determination against the evidence that it maximises."""
 
+import dataclasses
+
 import numpy as np
+import pytest
 import torch
 
-from softtissue_estimator.estimators.elastic.relevance import determine_relevance
+from softtissue_estimator.estimators.elastic.relevance import (
+    PRUNED_SHARE,
+    Variances,
+    determine_relevance,
+)
 
-GROUPS, ROWS, NOISE = 20, 90, 0.05
+GROUPS, FIELD, NUISANCE, ROWS, NOISE = 20, 15, 2, 120, 0.05
+LOADS = 3 * GROUPS
+LEAST_FIELD = 1e-6
 RNG = np.random.default_rng(4)
-MODEL = RNG.normal(size=(ROWS, 3 * GROUPS))
-TRUTH = np.zeros(3 * GROUPS)
+MODEL = RNG.normal(size=(ROWS, LOADS + FIELD + NUISANCE))
+TRUTH = np.zeros(MODEL.shape[1])
 TRUTH[3 * 7 : 3 * 8] = [1.0, -2.0, 0.5]
 TRUTH[3 * 12 : 3 * 13] = [0.0, 1.0, 1.5]
+TRUTH[LOADS + FIELD :] = [0.5, -1.5]
+FIELD_SIGMA = 0.2
+ERRORS = FIELD_SIGMA * RNG.normal(size=FIELD)
 DATA = MODEL @ TRUTH + NOISE * RNG.normal(size=ROWS)
+WITH_ERRORS = DATA + MODEL[:, LOADS : LOADS + FIELD] @ ERRORS
 GRAM = torch.from_numpy(MODEL.T @ MODEL / NOISE**2)
-RIGHT = torch.from_numpy(MODEL.T @ DATA / NOISE**2)
-START = torch.ones(GROUPS, dtype=torch.float64)
+START = Variances(torch.ones(GROUPS, dtype=torch.float64), torch.tensor(0.05, dtype=torch.float64))
+GIVEN = Variances(torch.linspace(0.1, 2.0, GROUPS, dtype=torch.float64), START.field)
 
 
-def log_evidence(variances):
+def right(data):
+    return torch.from_numpy(MODEL.T @ data / NOISE**2)
+
+
+def determined(updates, data=DATA, start=START):
+    return determine_relevance(GRAM, right(data), start, FIELD, updates, LEAST_FIELD)
+
+
+def by_parameter(variances):
+    """Prior variance of every parameter."""
+    return np.concatenate(
+        [
+            np.repeat(variances.loads.numpy(), 3),
+            np.full(FIELD, float(variances.field)),
+            np.ones(NUISANCE),
+        ]
+    )
+
+
+def log_evidence(variances, data):
     """log N(y; 0, J V J^T + sigma^2 I), without its constant."""
-    covariance = (MODEL * np.repeat(variances, 3)) @ MODEL.T + NOISE**2 * np.eye(ROWS)
-    return -0.5 * (DATA @ np.linalg.solve(covariance, DATA) + np.linalg.slogdet(covariance)[1])
+    covariance = (MODEL * by_parameter(variances)) @ MODEL.T + NOISE**2 * np.eye(ROWS)
+    return -0.5 * (data @ np.linalg.solve(covariance, data) + np.linalg.slogdet(covariance)[1])
+
+
+def covariance_of(amplitudes, prior):
+    """Posterior covariance of every parameter from its factor and prior variances."""
+    inverse = np.linalg.inv(amplitudes.factor.numpy() @ amplitudes.factor.numpy().T)
+    root = np.sqrt(prior)
+    return root[:, None] * inverse * root
 
 
 def test_posterior_of_given_variances_is_the_closed_form():
-    variances = torch.linspace(0.1, 2.0, GROUPS, dtype=torch.float64)
-    found = determine_relevance(GRAM, RIGHT, variances, 0)
-    covariance = np.linalg.inv(GRAM.numpy() + np.diag(1.0 / np.repeat(variances.numpy(), 3)))
-    np.testing.assert_allclose(found.mean.numpy(), covariance @ RIGHT.numpy(), atol=1e-10)
-    inverse = np.linalg.inv(found.factor.numpy() @ found.factor.numpy().T)
-    root = found.root.numpy()
-    np.testing.assert_allclose(root[:, None] * inverse * root, covariance, atol=1e-12)
+    found = determined(0, start=GIVEN)
+    covariance = np.linalg.inv(GRAM.numpy() + np.diag(1.0 / by_parameter(GIVEN)))
+    mean = covariance @ right(DATA).numpy()
+    np.testing.assert_allclose(found.mean.numpy(), mean, atol=1e-10)
+    np.testing.assert_allclose(covariance_of(found, by_parameter(GIVEN)), covariance, atol=1e-12)
+    np.testing.assert_allclose(found.root.numpy() ** 2, by_parameter(GIVEN)[:LOADS])
+    np.testing.assert_array_equal(found.loads.numpy(), found.mean[:LOADS].numpy())
+    np.testing.assert_array_equal(found.errors.numpy(), found.mean[LOADS:].numpy())
+    np.testing.assert_array_equal(found.nuisance.numpy(), found.mean[LOADS + FIELD :].numpy())
 
 
-def test_every_update_raises_the_evidence():
-    evidence = [
-        log_evidence(determine_relevance(GRAM, RIGHT, START, updates).variances.numpy())
-        for updates in range(8)
-    ]
+def test_evidence_compares_as_that_of_the_dense_model():
+    starts = START, GIVEN, dataclasses.replace(START, field=20.0 * START.field)
+    power = float(DATA @ DATA) / NOISE**2
+    found = [determined(0, start=start).log_evidence(right(DATA), power) for start in starts]
+    expected = [log_evidence(start, DATA) for start in starts]
+    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-8)
+
+
+@pytest.mark.parametrize("data", [DATA, WITH_ERRORS], ids=["loads", "loads and errors"])
+def test_every_update_raises_the_evidence(data):
+    evidence = [log_evidence(determined(updates, data).prior, data) for updates in range(8)]
     assert (np.diff(evidence) > 0.0).all()
 
 
 def test_only_the_loads_that_act_stay_relevant():
-    found = determine_relevance(GRAM, RIGHT, START, 30)
+    found = determined(30)
     assert set(np.flatnonzero(found.variances.numpy() > 0.01)) == {7, 12}
     np.testing.assert_allclose(found.mean.numpy(), TRUTH, atol=0.05)
 
 
+def test_the_field_has_the_size_of_the_errors_and_none_where_there_are_none():
+    size = np.sqrt(np.mean(ERRORS**2))
+    for start in (0.05, 1e-4):
+        begin = dataclasses.replace(START, field=torch.tensor(start, dtype=torch.float64))
+        found = determined(30, WITH_ERRORS, begin)
+        assert float(found.prior.field.sqrt()) == pytest.approx(size, rel=0.1)
+        np.testing.assert_allclose(found.errors[:FIELD].numpy(), ERRORS, atol=0.05)
+        assert set(np.flatnonzero(found.variances.numpy() > 0.01)) == {7, 12}
+    exact = determined(30, MODEL @ TRUTH)
+    assert float(exact.prior.field) == pytest.approx(LEAST_FIELD, rel=1e-9)
+
+
+def test_pruned_loads_keep_their_variances_and_the_others_go_on_without_them():
+    first = determined(4)
+    kept = first.variances > PRUNED_SHARE * first.variances.max()
+    assert 2 <= int(kept.sum()) < GROUPS
+    second = determined(5).prior
+    assert torch.equal(second.loads[~kept], first.variances[~kept])
+    used = np.concatenate([np.repeat(kept.numpy(), 3), np.ones(FIELD + NUISANCE, dtype=bool)])
+    alone = determine_relevance(
+        GRAM[used][:, used],
+        right(DATA)[used],
+        Variances(first.variances[kept], first.prior.field),
+        FIELD,
+        1,
+        LEAST_FIELD,
+    )
+    np.testing.assert_allclose(second.loads[kept].numpy(), alone.variances.numpy(), rtol=1e-10)
+    assert float(second.field) == pytest.approx(float(alone.prior.field), rel=1e-10)
+
+
 def test_without_a_signal_nothing_is_relevant_and_nothing_fails():
-    found = determine_relevance(GRAM, torch.zeros_like(RIGHT), START, 40)
-    assert float(found.variances.max()) < 1e-3
-    np.testing.assert_array_equal(found.mean.numpy(), 0.0)
+    # Until the variances have fallen below the smallest number that there is.
+    for updates in (40, 80):
+        found = determined(updates, np.zeros(ROWS))
+        assert float(found.variances.max()) < 1e-3
+        assert float(found.prior.field) == LEAST_FIELD
+        np.testing.assert_array_equal(found.mean.numpy(), 0.0)
+
+
+def test_some_of_the_loads_alone_leave_the_doubt_of_the_closed_form():
+    whole = determined(0, start=GIVEN)
+    kept = torch.tensor([2, 7, 12])
+    found = whole.with_loads(kept)
+    used = np.concatenate(
+        [(3 * kept[:, None] + torch.arange(3)).reshape(-1).numpy(), np.arange(LOADS, len(TRUTH))]
+    )
+    prior = by_parameter(GIVEN)[used]
+    expected = np.linalg.inv(GRAM.numpy()[np.ix_(used, used)] + np.diag(1.0 / prior))
+    np.testing.assert_allclose(covariance_of(found, prior), expected, atol=1e-12)
+    np.testing.assert_array_equal(found.mean.numpy(), whole.mean.numpy()[used])
+    assert torch.equal(found.variances, GIVEN.loads[kept])
+    assert torch.equal(found.nuisance, whole.nuisance)

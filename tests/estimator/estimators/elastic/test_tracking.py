@@ -178,6 +178,18 @@ def test_a_jump_is_answered_about_the_rigid_motion(alone, stream):
     assert np.linalg.norm(answer.displacement - truth, axis=1)[top].mean() < 0.002
 
 
+def test_an_organ_that_rested_is_followed_when_it_moves_a_little(stream):
+    """By less than a loss of track, although no load was left."""
+    for _ in range(12):
+        stream.estimate(observed(0.0))
+    for _ in range(12):
+        answer = stream.estimate(observed(0.3))
+    truth = bent(SURFACE.vertices, 0.3)
+    top = SURFACE.vertices[:, 2] > 0.02
+    moved, left = truth[top], answer.displacement[top] - truth[top]
+    assert np.linalg.norm(left, axis=1).mean() < 0.3 * np.linalg.norm(moved, axis=1).mean()
+
+
 @pytest.mark.parametrize("stamped", [True, False])
 def test_a_stream_has_the_same_answers_however_busy_the_machine_is(monkeypatch, stamped):
     improve, delays_s = Solver.improve, itertools.cycle([0.0])
