@@ -12,6 +12,7 @@ Gauss-Newton on the non-linear energy. At the start the organ is linear about a 
 rotations harmless.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,10 +66,13 @@ class Errors:
         N(0, 1).
     field_values : int
         m.
+    most_sigma_m : float
+        Standard deviation of the field, at most.
     """
 
     columns: Tensor
     field_values: int
+    most_sigma_m: float = math.inf
 
     def displacement(self, amplitudes: Amplitudes) -> Tensor:
         """Mean of what they move the nodes by, (n, 3) float64 m."""
@@ -146,7 +150,7 @@ def condition(
     shifted = observed.normal @ offset
     right = flat.T @ (observed.right - shifted).reshape(-1)
     amplitudes = determine_relevance(
-        gram, right, variances, errors.field_values, updates, LEAST_FIELD_SIGMA_M**2
+        gram, right, variances, errors.field_values, updates, LEAST_FIELD_SIGMA_M**2, errors.most_sigma_m**2
     )
     power = observed.power + float((offset * (shifted - 2.0 * observed.right)).sum())
     return amplitudes, amplitudes.log_evidence(right, power)

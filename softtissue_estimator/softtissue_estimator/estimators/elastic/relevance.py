@@ -7,7 +7,8 @@ observation too: a field of one variance for all its values, re-estimated in the
 parameters with the prior N(0, I), whose variances stay (`registration_error`).
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -137,7 +138,13 @@ class Amplitudes:
 
 
 def determine_relevance(
-    gram: Tensor, right: Tensor, variances: Variances, field_values: int, updates: int, least_field: float
+    gram: Tensor,
+    right: Tensor,
+    variances: Variances,
+    field_values: int,
+    updates: int,
+    least_field: float,
+    most_field: float = math.inf,
 ) -> Amplitudes:
     """Re-estimate the variances and return the amplitudes' posterior.
 
@@ -156,12 +163,13 @@ def determine_relevance(
         How many parameters behind the loads are values of the field.
     updates : int
         How often to re-estimate; 0 gives the posterior for the given variances.
-    least_field : float
-        m^2; below which the field's variance does not fall.
+    least_field, most_field : float
+        m^2; between which the field's variance stays.
     """
     kept = torch.arange(len(variances.loads), device=right.device)
     for _ in range(updates):
-        variances = _reestimated(gram, right, variances, kept, field_values, least_field)
+        variances = _reestimated(gram, right, variances, kept, field_values)
+        variances = replace(variances, field=variances.field.clamp(least_field, most_field))
         # An irrelevant load moves nothing, and takes as long as another one.
         kept = torch.nonzero(variances.loads >= PRUNED_SHARE * variances.loads.max())[:, 0]
     factor, mean = _posterior(gram, right, variances, field_values)
@@ -169,7 +177,7 @@ def determine_relevance(
 
 
 def _reestimated(
-    gram: Tensor, right: Tensor, variances: Variances, kept: Tensor, field_values: int, least_field: float
+    gram: Tensor, right: Tensor, variances: Variances, kept: Tensor, field_values: int
 ) -> Variances:
     """Re-estimate the variances of the loads that are kept and of the field."""
     count = 3 * len(kept)
@@ -189,7 +197,7 @@ def _reestimated(
     if field_values:
         values = slice(count, count + field_values)
         share = (1.0 - remaining[values].mean()).clamp_min(_LEAST_DETERMINED_SHARE)
-        field = (field * mean[values].square().mean() / share).sqrt().clamp_min(least_field)
+        field = (field * mean[values].square().mean() / share).sqrt()
     return Variances(loads, field)
 
 

@@ -1,5 +1,6 @@
 """From observed patches to the elastic posterior: Gauss-Newton steps, each with its own relevance of the loads."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -47,7 +48,6 @@ LEAST_START_SHARE = 1e-4
 rest leaves none, and without any nothing could move it again."""
 LOST_TRACK_MISFIT_M = 0.0015
 """Where more than this is left unexplained, the organ has moved too far to be followed."""
-_FIELD_SIGMAS = 2.0  # that the field of errors may explain; what is larger is a motion of the organ
 _LARGER_MODEL_SIGMA_RATIO = 2.0  # from which on the fit is repeated with the error that its residual shows
 
 
@@ -136,6 +136,8 @@ class Solver:
                 weight=weight,
                 updates=1,
                 ratio=start.ratio,
+                # What is larger than all errors before is a motion of the organ.
+                most_field_m=float(start.variances.field.sqrt()),
             )
             posterior = self._plausible(explain, sigma)
             residual = self.residual(posterior)
@@ -146,9 +148,7 @@ class Solver:
             sigma = max(sigma, self._misfit.model_sigma(misfit))
             if weight.min() == 1.0 and sigma <= _LARGER_MODEL_SIGMA_RATIO * posterior.model_sigma_m:
                 break
-        beyond = self._misfit.unexplained(residual + self._field_at_patches(posterior), weight)
-        known = _FIELD_SIGMAS * float(start.variances.field.sqrt())
-        if misfit >= LOST_TRACK_MISFIT_M or beyond >= np.hypot(LOST_TRACK_MISFIT_M, known):
+        if misfit >= LOST_TRACK_MISFIT_M:
             return None
         return replace(posterior, hidden_variance=start.hidden_variance)
 
@@ -225,19 +225,16 @@ class Solver:
         expected = self._interpolation @ (posterior.mean + shift).cpu().numpy()
         return np.asarray(self._displacement(posterior.registration) - expected)
 
-    def _field_at_patches(self, posterior: Posterior) -> FloatArray:
-        """Mean of the field of errors, (c, 3) m."""
-        values = posterior.amplitudes.errors[: posterior.amplitudes.field_values]
-        return np.asarray(self._interpolation @ (self._field @ values).cpu().numpy())
-
     def _displacement(self, registration: RegistrationError) -> FloatArray:
         """Observed displacement of each patch with what is supposed of the registration taken out, (c, 3) m."""
         return registration.corrected(self._positions) - self._patches.reference
 
-    def _errors(self, tangent: Tangent, registration: RegistrationError) -> Errors:
+    def _errors(
+        self, tangent: Tangent, registration: RegistrationError, most_field_m: float = math.inf
+    ) -> Errors:
         """Return what moves the observed points without moving the organ."""
         pose = registration.columns(self._model.nodes + tangent.state)
-        return Errors(torch.cat([self._field, pose], dim=2), self._field.shape[2])
+        return Errors(torch.cat([self._field, pose], dim=2), self._field.shape[2], most_field_m)
 
     def deviation(self, posterior: Posterior) -> FloatArray:
         """Return the standard deviation of each component at the nodes, (n,) m."""
@@ -281,6 +278,7 @@ class Solver:
         weight: FloatArray,
         updates: int,
         ratio: int,
+        most_field_m: float = math.inf,
     ) -> Posterior:
         precision = weight * self._patches.precision_with(sigma)
         observed = self._observed(registration, precision)
@@ -288,7 +286,7 @@ class Solver:
             loads = equal_variances(tangent, observed, self._prior_sigma_m)
             variances = Variances(loads, loads.new_tensor(FIRST_FIELD_SIGMA_M**2))
         amplitudes, evidence = condition(
-            tangent, observed, self._errors(tangent, registration), variances, updates
+            tangent, observed, self._errors(tangent, registration, most_field_m), variances, updates
         )
         evidence += 1.5 * float(np.log(precision).sum()) + self._model.ratios.log_probability[ratio]
         mean = mean_displacement(tangent, amplitudes)
