@@ -16,7 +16,7 @@ from integration.soak import LONGEST_GAP_S, measure
 
 FLOOD_S, CALLS_PER_S = 3.0, 400.0
 STREAM_HZ = 20.0
-MOST_GROWTH_MB = 60.0
+MOST_GROWTH_MB = 90.0  # with the first step after a start, which three threads share
 
 
 @pytest.fixture(scope="module")
