@@ -169,7 +169,14 @@ class ElasticEstimator(Estimator):
         watch.lap("uncertainty")
         ratio = model.ratios.ratios[posterior.ratio]
         misfit, mean = solver.residual(posterior), posterior.mean.cpu().numpy()
-        diagnosis = self._diagnosis(model, patches, solver, posterior, expected, 1.0 - float(kept.mean()))
+        diagnosis = self._diagnosis(
+            model,
+            patches,
+            posterior,
+            expected,
+            solver.unexplained(posterior, misfit),
+            1.0 - float(kept.mean()),
+        )
         estimate = ElasticEstimate(model, patches, misfit, ratio, mean, sigma, diagnosis, watch.stages)
         watch.lap("warp")
         return estimate
@@ -178,15 +185,14 @@ class ElasticEstimator(Estimator):
         self,
         model: ElasticModel,
         patches: ObservedPatches,
-        solver: Solver,
         posterior: Posterior,
         expected: RegistrationError,
+        unexplained: float,
         outliers: float,
     ) -> Diagnosis:
         known = posterior.registration_after
         found = RegistrationEstimate(known.centre, known.correction, known.root @ known.root.T)
         lost = self._tracker is not None and self._tracker.lost
-        unexplained = solver.unexplained(posterior)
         return Diagnosis(
             found,
             outliers,

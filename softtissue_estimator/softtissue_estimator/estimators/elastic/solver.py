@@ -91,9 +91,8 @@ class Solver:
         """What is known of the registration's error before the observation."""
         return self._registration
 
-    def unexplained(self, posterior: Posterior) -> float:
-        """Return the root mean square of what neither the answer nor the noise explains, m; outliers count little."""
-        residual = self.residual(posterior)
+    def unexplained(self, posterior: Posterior, residual: FloatArray) -> float:
+        """Return the root mean square of a residual (c, 3) m that is not noise, m; outliers count little."""
         return self._misfit.unexplained(residual, self._misfit.weights(residual, posterior.model_sigma_m))
 
     @property
