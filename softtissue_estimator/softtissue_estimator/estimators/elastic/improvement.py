@@ -1,6 +1,6 @@
 """One more step about an answered observation, with all loads: what the tracker's thread does between frames."""
 
-from concurrent.futures import CancelledError, ThreadPoolExecutor
+from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from threading import Event
 
@@ -67,14 +67,12 @@ class Task:
         return 0 if self.rigid or remainder or not trial else (1, -1)[(trial - 1) % 2]
 
 
-def improve(task: Task, helpers: ThreadPoolExecutor) -> tuple[Posterior, WarmStart]:
+def improve(task: Task) -> tuple[Posterior, WarmStart]:
     """Make a step.
 
     Parameters
     ----------
     task : Task
-    helpers : ThreadPoolExecutor
-        For what can be tried at once: two sizes of the registration's error, beside a third.
 
     Returns
     -------
@@ -89,25 +87,22 @@ def improve(task: Task, helpers: ThreadPoolExecutor) -> tuple[Posterior, WarmSta
         If it was given up.
     """
     with one_thread():
-        better = _start(task, helpers) if task.rigid else _step(task)
+        better = _start(task) if task.rigid else _step(task)
         hidden = task.posterior.hidden_variance
         if hidden is None or task.number % STEPS_PER_HIDDEN_VARIANCE == 0:
             hidden = task.solver.hidden_variance(better)
         return better, warm_start(better, hidden)
 
 
-def _start(task: Task, helpers: ThreadPoolExecutor) -> Posterior:
+def _start(task: Task) -> Posterior:
     """Explain an observation from its rigid motion on; how exact the registration is must be found out, too."""
-    known = task.registration
-    others = [helpers.submit(_explained, task, scale) for scale in known.scales[1:]]
-    first = _explained(task, known.scales[0])
-    return likeliest(task.solver, [first, *(other.result() for other in others)])
+    scales = task.registration.scales
+    return likeliest(task.solver, [_explained(task, scale) for scale in scales])
 
 
 def _explained(task: Task, scale: float) -> Posterior:
     task.go_on()
-    with one_thread():
-        return explained(task.solver, task.registration.supposed, scale)
+    return explained(task.solver, task.registration.supposed, scale)
 
 
 def _step(task: Task) -> Posterior:

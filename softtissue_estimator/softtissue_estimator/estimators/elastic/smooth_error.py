@@ -21,7 +21,7 @@ _JITTER = (
 )
 
 
-def columns(positions: Tensor, seen: FloatArray) -> Tensor:
+def field_columns(positions: Tensor, seen: FloatArray) -> Tensor:
     """Displacement (n, 3, 3 k) of positions by one standard deviation of each independent part of the field, v = 1.
 
     Parameters

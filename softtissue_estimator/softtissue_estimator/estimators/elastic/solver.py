@@ -10,7 +10,6 @@ import torch
 from scipy.sparse import csr_array
 from torch import Tensor
 
-from softtissue_estimator.estimators.elastic import smooth_error
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent, to_tensor
 from softtissue_estimator.estimators.elastic.linear_gaussian import (
     Errors,
@@ -28,6 +27,7 @@ from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmSta
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest, settled
 from softtissue_estimator.estimators.elastic.relevance import Variances
+from softtissue_estimator.estimators.elastic.smooth_error import field_columns
 from softtissue_estimator.observation.patch_average import ObservedPatches
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import FloatArray
@@ -78,7 +78,7 @@ class Solver:
         self._model, self._patches, self._registration = model, patches, registration
         self._positions = patches.reference + patches.displacement
         self._prior_sigma_m, self._misfit = prior_sigma_m, Misfit(patches, model_sigma_m)
-        self._field = smooth_error.columns(model.nodes, patches.reference)
+        self._field = field_columns(model.nodes, patches.reference)
         self._interpolation: csr_array = model.surface_interpolation(patches.reference)
         nodes = model.mesh.nodes
         self._moved = to_tensor(motion.apply(nodes) - nodes, model.device)

@@ -25,12 +25,11 @@ STEP_S = 0.3
 """Between an observation and the one that takes over the step that the thread made about it: half as much again as that
 takes on two idle cores."""
 _LEAST_FRAMES = 3  # that are answered with a step at least: on a busy machine frames wait for it
-_FIRST_STEPS = 2  # of these in the first step about a rigid motion
+_FIRST_STEPS = 4  # of these in the first step about a rigid motion
 UNSTAMPED_S = 0.1  # between two observations that do not say when they were made
 _JITTER_S = 0.01  # of stamps
 _LEAST_VARIANCE_SHARE = 1e-3  # of the largest: with less no load starts a step of the thread
-_NICENESS = 10  # of the threads: frames come first
-_HELPERS = 2  # threads that the first step shares its work with
+_NICENESS = 10  # of the thread: frames come first
 _STILL_DISTANCE_M = 0.001  # an organ that has moved by less since it was made linear is so nearly enough
 _SETTLED_STEPS = 12  # of the thread about a still organ; every ratio nearby is tried in as many
 _STILL_REFRESH_S = 1.0  # after which it makes another: the observed part of a still organ may change
@@ -98,8 +97,6 @@ class ElasticTracker:
         self._closed = False
         # Threads of an executor are waited for when the interpreter ends: torch aborts where one is cut off.
         self._executor = ThreadPoolExecutor(1, "tracker", _step_back)
-        # Of their own: what waits for them must not be in their way.
-        self._helpers = ThreadPoolExecutor(_HELPERS, "tracker-helper", _step_back)
 
     def registration(self, expected: RegistrationError) -> RegistrationError:
         """Return what is known of the registration before the next frame."""
@@ -208,7 +205,7 @@ class ElasticTracker:
                 registration,
                 self._stamp_s,
             )
-            self._pending, self._frames = (task, self._executor.submit(improve, task, self._helpers)), 0
+            self._pending, self._frames = (task, self._executor.submit(improve, task)), 0
 
     def _start(self, solver: Solver) -> tuple[Posterior, WarmStart]:
         """Explain an observation about its rigid motion; what comes next follows this answer, which takes long."""
@@ -245,8 +242,7 @@ class ElasticTracker:
         self.forget()
         with self._lock:
             self._closed = True
-        for threads in (self._executor, self._helpers):
-            threads.shutdown(wait=False, cancel_futures=True)
+        self._executor.shutdown(wait=False, cancel_futures=True)
 
 
 def _is_due(task: Task, stamp_s: float, frames: int) -> bool:

@@ -41,7 +41,7 @@ OBSERVE = csr_array(
     (np.ones(len(OBSERVED)), (np.arange(len(OBSERVED)), OBSERVED)), shape=(len(OBSERVED), len(MESH.nodes))
 )
 NONE = Errors(torch.zeros((len(MESH.nodes), 3, 0), dtype=torch.float64), 0)
-FIELD = smooth_error.columns(torch.from_numpy(MESH.nodes), MESH.nodes[OBSERVED])
+FIELD = smooth_error.field_columns(torch.from_numpy(MESH.nodes), MESH.nodes[OBSERVED])
 FIELD_ALONE = Errors(FIELD, FIELD.shape[2])
 SHIFT = 0.005 * torch.eye(3, dtype=torch.float64).expand(len(MESH.nodes), 3, 3)
 PRECISION = np.full(len(OBSERVED), 0.001**-2)

@@ -8,7 +8,7 @@ from softtissue_estimator.estimators.elastic.smooth_error import (
     LENGTH_M,
     MOST_CENTRES,
     SPACING_M,
-    columns,
+    field_columns,
 )
 
 RNG = np.random.default_rng(0)
@@ -22,7 +22,7 @@ def covariance(first, second):
 
 def represented(positions, seen):
     """Covariance (n, n) of each component at the positions; and of different components, which is none."""
-    found = columns(torch.from_numpy(positions), seen).numpy()
+    found = field_columns(torch.from_numpy(positions), seen).numpy()
     whole = np.einsum("iak,jbk->iajb", found, found)
     for first, second in ((0, 1), (0, 2), (1, 2)):
         np.testing.assert_array_equal(whole[:, first, :, second], 0.0)
@@ -45,18 +45,18 @@ def test_covariance_at_distant_places_is_gaussian_up_to_the_jitter():
 
 def test_where_nothing_was_seen_there_is_no_field():
     away = SEEN + np.array([0.0, 0.0, 6.0 * LENGTH_M])
-    assert np.abs(columns(torch.from_numpy(away), SEEN).numpy()).max() < 1e-3
+    assert np.abs(field_columns(torch.from_numpy(away), SEEN).numpy()).max() < 1e-3
 
 
 @pytest.mark.parametrize("length_m", [0.1, 0.2])
 def test_centres_are_apart_and_near_what_is_seen(length_m):
     line = np.zeros((200, 3))
     line[:, 0] = np.linspace(0.0, length_m, len(line))
-    count = columns(torch.from_numpy(line), line).shape[2] / 3
+    count = field_columns(torch.from_numpy(line), line).shape[2] / 3
     assert length_m / (2.0 * SPACING_M) <= count <= length_m / SPACING_M + 1.0
 
 
 def test_much_that_is_seen_has_no_more_centres():
     much = RNG.uniform(0.0, 1.0, size=(2000, 3))
-    assert columns(torch.from_numpy(much[:10]), much).shape == (10, 3, 3 * MOST_CENTRES)
-    assert columns(torch.from_numpy(much[:10]), much[:1]).shape == (10, 3, 3)
+    assert field_columns(torch.from_numpy(much[:10]), much).shape == (10, 3, 3 * MOST_CENTRES)
+    assert field_columns(torch.from_numpy(much[:10]), much[:1]).shape == (10, 3, 3)
