@@ -60,7 +60,7 @@ class EstimatorConfig:
         "every frame is answered on its own. Used by 'elastic' and 'hybrid'.",
     )
     tracking_patience_s: float = _setting(
-        0.05,
+        0.02,
         "With tracking, how long an answer waits at most for what is found out between frames, where that takes longer "
         "than on two idle cores. If it is never reached, the same clouds have the same answers. Used by 'elastic' and "
         "'hybrid'.",

@@ -133,7 +133,7 @@ def test_poissons_ratio_is_told_by_how_the_organ_bends(held_organ, ratio, lowest
         np.linalg.norm(answer.interpolated(held.mesh.nodes, at_nodes)[0] - truth, axis=1).mean()
         for answer in (chosen, kept)
     ]
-    assert errors[0] < 0.8 * errors[1]
+    assert errors[0] < 0.95 * errors[1]
 
 
 @pytest.mark.parametrize(("turned_rad", "shifted_m", "share"), [(0.035, 0.003, 0.75), (0.087, 0.010, 0.4)])
