@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -28,15 +29,21 @@ class RegistrationEstimate:
     correction: RigidMotion
     covariance: FloatArray
 
+    @cached_property
+    def step(self) -> FloatArray:
+        """The correction as a translation of the centre (m) and a rotation vector about it (rad), (6,)."""
+        translation = self.correction.apply(self.centre[None])[0] - self.centre
+        return np.concatenate([translation, Rotation.from_matrix(self.correction.rotation).as_rotvec()])
+
     @property
     def translation_m(self) -> float:
         """Distance by which the centre is misplaced."""
-        return float(np.linalg.norm(self.correction.apply(self.centre[None])[0] - self.centre))
+        return float(np.linalg.norm(self.step[:3]))
 
     @property
     def rotation_rad(self) -> float:
         """Angle by which the organ is turned."""
-        return float(Rotation.from_matrix(self.correction.rotation).magnitude())
+        return float(np.linalg.norm(self.step[3:]))
 
     @property
     def translation_sigma_m(self) -> float:

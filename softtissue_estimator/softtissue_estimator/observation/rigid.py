@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.organ.mesh import FloatArray
@@ -22,11 +21,6 @@ class RigidMotion:
 
     rotation: FloatArray
     translation: FloatArray
-
-    @property
-    def rotation_vector(self) -> FloatArray:
-        """Axis times angle of R, (3,) rad."""
-        return np.asarray(Rotation.from_matrix(self.rotation).as_rotvec(), dtype=np.float64)
 
     def apply(self, points: FloatArray) -> FloatArray:
         """Move (n, 3) points, m."""

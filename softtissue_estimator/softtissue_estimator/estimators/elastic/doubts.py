@@ -2,11 +2,8 @@
 
 import numpy as np
 
-from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody
-from softtissue_estimator.estimators.elastic.plausibility import (
-    has_implausible_elements,
-    is_implausible_displacement,
-)
+from softtissue_estimator.estimators.diagnosis import RegistrationEstimate
+from softtissue_estimator.estimators.elastic.plausibility import is_implausible_displacement
 from softtissue_estimator.estimators.elastic.posterior import Posterior
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.solver import LOST_TRACK_MISFIT_M
@@ -22,9 +19,9 @@ MOST_SQUARED_ERRORS = 16.8
 
 def doubts(
     posterior: Posterior,
-    body: HyperelasticBody,
     observed: FloatArray,
     unexplained: float,
+    registration: RegistrationEstimate,
     expected: RegistrationError,
     outlier_share: float,
     lost: bool,
@@ -34,11 +31,11 @@ def doubts(
     Parameters
     ----------
     posterior : Posterior
-    body : HyperelasticBody
     observed : (c, 3) m
         Displacement of what is seen.
     unexplained : float
         What the posterior and the noise leave of it, m.
+    registration : RegistrationEstimate
     expected : RegistrationError
         What is supposed of a registration at worst.
     outlier_share : float
@@ -62,22 +59,18 @@ def doubts(
         found.append(
             f"observation: expected neighbouring points to agree, got errors of {1e3 * shared:.1f} mm that they share"
         )
-    found += _registration_doubts(posterior.registration_after, expected)
-    if has_implausible_elements(body, posterior.mean):
+    found += _registration_doubts(registration, expected)
+    if not posterior.plausible:
         found.append("estimate: expected tissue that holds together, got elements that are torn or inverted")
     if is_implausible_displacement(posterior.mean, observed):
         found.append("estimate: expected hidden parts to move like what is seen, got some that move far more")
     return tuple(found)
 
 
-def _registration_doubts(known: RegistrationError, expected: RegistrationError) -> list[str]:
-    translation = known.correction.apply(known.centre[None])[0] - known.centre
-    error = np.concatenate([translation, known.correction.rotation_vector])
-    squared = float(np.square(np.linalg.solve(expected.root, error)).sum())
-    if squared <= MOST_SQUARED_ERRORS:
+def _registration_doubts(found: RegistrationEstimate, expected: RegistrationError) -> list[str]:
+    if float(np.square(np.linalg.solve(expected.root, found.step)).sum()) <= MOST_SQUARED_ERRORS:
         return []
-    off_m, off_rad = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
     return [
-        f"registration: expected one that is nearly right, got one off by {1e3 * off_m:.0f} mm"
-        f" and {np.degrees(off_rad):.0f} degrees"
+        f"registration: expected one that is nearly right, got one off by {1e3 * found.translation_m:.0f} mm"
+        f" and {np.degrees(found.rotation_rad):.0f} degrees"
     ]

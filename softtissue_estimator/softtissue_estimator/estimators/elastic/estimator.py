@@ -170,7 +170,6 @@ class ElasticEstimator(Estimator):
         ratio = model.ratios.ratios[posterior.ratio]
         misfit, mean = solver.residual(posterior), posterior.mean.cpu().numpy()
         diagnosis = self._diagnosis(
-            model,
             patches,
             posterior,
             expected,
@@ -183,7 +182,6 @@ class ElasticEstimator(Estimator):
 
     def _diagnosis(
         self,
-        model: ElasticModel,
         patches: ObservedPatches,
         posterior: Posterior,
         expected: RegistrationError,
@@ -196,5 +194,5 @@ class ElasticEstimator(Estimator):
         return Diagnosis(
             found,
             outliers,
-            doubts=doubts(posterior, model.body, patches.displacement, unexplained, expected, outliers, lost),
+            doubts=doubts(posterior, patches.displacement, unexplained, found, expected, outliers, lost),
         )

@@ -41,7 +41,7 @@ def is_implausible_displacement(displacement: Tensor, observed: FloatArray) -> b
 
 def plausible_fit(
     fit: Callable[[float], Posterior], model_sigma_m: float, body: HyperelasticBody, observed: FloatArray
-) -> Posterior:
+) -> tuple[Posterior, bool]:
     """Fit with the least error of the model, from a given one on, that leaves the elements plausible.
 
     Where none does and the maximum-likelihood fit, that with the given error, moves nothing much farther than is
@@ -57,13 +57,21 @@ def plausible_fit(
     body : HyperelasticBody
     observed : (c, 3) m
         Observed displacement.
+
+    Returns
+    -------
+    posterior : Posterior
+    plausible : bool
+        Whether the elements are.
     """
     sigma = model_sigma_m
     likeliest = posterior = fit(sigma)
     # Only loads that invert elements explain the observation so closely: the model is further off than it seems.
-    while sigma < _RIGID_MODEL_SIGMA_M and has_implausible_elements(body, posterior.mean):
+    while has_implausible_elements(body, posterior.mean):
         if sigma > _LARGE_MODEL_SIGMA_M and not is_implausible_displacement(likeliest.mean, observed):
-            return likeliest
+            return likeliest, False
+        if sigma >= _RIGID_MODEL_SIGMA_M:
+            return posterior, False
         sigma *= 2.0
         posterior = fit(sigma)
-    return posterior
+    return posterior, True

@@ -37,6 +37,8 @@ class Posterior:
         What was supposed of the registration before; the nuisance parameters are its error.
     hidden_variance : (n,) float64 m^2 or None
         Of the nodes, by loads that this posterior leaves out; None where it has all loads.
+    plausible : bool
+        Whether it does to no element what no tissue endures.
     """
 
     tangent: Tangent
@@ -47,6 +49,7 @@ class Posterior:
     log_evidence: float
     registration: RegistrationError
     hidden_variance: Tensor | None = None
+    plausible: bool = True
 
     def with_relevant_loads(self) -> "Posterior":
         """Return the same with the loads alone that a frame considers which follows this one."""

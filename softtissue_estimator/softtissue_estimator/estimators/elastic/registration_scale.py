@@ -10,8 +10,8 @@ import numpy as np
 from softtissue_estimator.estimators.elastic.posterior import Posterior
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 
-DOUBT_FACTOR, MOST_DOUBLINGS, LEAST_GAIN = 4.0, 1, 10.0
-"""By how much a surprising registration is doubted, how often, and which gain of the log-evidence warrants it."""
+DOUBT_FACTOR, LEAST_GAIN = 4.0, 10.0
+"""By how much a surprising registration is doubted, and which gain of the log-evidence warrants it."""
 MOST_STEPS = 4  # that wait for the correction to settle
 SETTLED_M = (
     0.0005  # a correction that moves by less changes what the organ's bending explains by a tenth of that
@@ -54,14 +54,8 @@ def likeliest(solver: Explaining, found: Sequence[Posterior]) -> Posterior:
 
 def unfettered(solver: Explaining, posterior: Posterior) -> Posterior:
     """Suppose a registration that is less sure, where the observation moved it so far that this is likelier."""
-    for _ in range(MOST_DOUBLINGS):
-        wider = solver.again(
-            posterior, posterior.registration.scaled(DOUBT_FACTOR), posterior.model_sigma_m, 1
-        )
-        if wider.log_evidence < posterior.log_evidence + LEAST_GAIN:
-            break
-        posterior = wider
-    return posterior
+    wider = solver.again(posterior, posterior.registration.scaled(DOUBT_FACTOR), posterior.model_sigma_m, 1)
+    return wider if wider.log_evidence >= posterior.log_evidence + LEAST_GAIN else posterior
 
 
 def settled(solver: Explaining, posterior: Posterior) -> Posterior:

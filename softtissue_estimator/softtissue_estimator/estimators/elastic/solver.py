@@ -266,7 +266,8 @@ class Solver:
         return standard_deviation(posterior.tangent, amplitudes).square()
 
     def _plausible(self, fit: Callable[[float], Posterior], model_sigma_m: float) -> Posterior:
-        return plausible_fit(fit, model_sigma_m, self._model.body, self._patches.displacement)
+        posterior, plausible = plausible_fit(fit, model_sigma_m, self._model.body, self._patches.displacement)
+        return replace(posterior, plausible=plausible)
 
     def _explain(
         self,

@@ -136,13 +136,14 @@ def test_poissons_ratio_is_told_by_how_the_organ_bends(held_organ, ratio, lowest
     assert errors[0] < 0.95 * errors[1]
 
 
-@pytest.mark.parametrize(("turned_rad", "shifted_m", "share"), [(0.035, 0.003, 0.75), (0.087, 0.010, 0.4)])
+# In one frame a small error is hardly told from loads: the doubt only must not cost anything there.
+@pytest.mark.parametrize(("turned_rad", "shifted_m", "share"), [(0.035, 0.003, 1.0), (0.087, 0.010, 0.4)])
 def test_registration_that_is_off_is_found_out(truth, turned_rad, shifted_m, share):
     """What rests where the organ is attached cannot have moved rigidly: the doubt costs a fraction of the error."""
     estimator = loaded(truth.organ)
     sure = loaded(truth.organ, EXACTLY_REGISTERED)
     observation = truth.observe(0.0005)
-    turn, shifted_m = rotation([0.3, -1.0, 0.5], 0.087), 0.010
+    turn = rotation([0.3, -1.0, 0.5], turned_rad)
     centre = truth.points.mean(axis=0)
     seen = (observation.reference + observation.displacement - centre) @ turn.T + centre
     seen += shifted_m * np.array([0.6, 0.0, -0.8])
@@ -150,7 +151,7 @@ def test_registration_that_is_off_is_found_out(truth, turned_rad, shifted_m, sha
     doubting, believing = (one.estimate(given) for one, given in ((estimator, off), (sure, off)))
     errors = [truth.error(answer.displacement_at(truth.points)[0]) for answer in (doubting, believing)]
     assert errors[1] > 2.0 * shifted_m / 3.0
-    assert errors[0] < 0.5 * errors[1]
+    assert errors[0] < share * errors[1]
 
 
 def test_instrument_that_is_tracked_with_the_organ_is_left_out(truth):

@@ -74,6 +74,7 @@ def test_the_fit_is_that_with_the_least_plausible_error_of_the_model(
         mean = torch.zeros_like(inverted) if model_sigma_m >= plausible_from_m else inverted
         return SimpleNamespace(mean=mean, model_sigma_m=model_sigma_m)
 
-    found = plausible_fit(fit, 0.001, BODY, np.array([[0.0, observed_m, 0.0]]))
+    found, plausible = plausible_fit(fit, 0.001, BODY, np.array([[0.0, observed_m, 0.0]]))
     assert tried == pytest.approx(tried_m)
     assert found.model_sigma_m == pytest.approx(found_m)
+    assert plausible is bool(np.isfinite(plausible_from_m))

@@ -1,0 +1,71 @@
+"""Why an answer must not be relied on: each reason alone, and none where all is well."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from softtissue_estimator.estimators.diagnosis import RegistrationEstimate
+from softtissue_estimator.estimators.elastic.doubts import doubts
+from softtissue_estimator.estimators.elastic.registration_error import expected_error
+from softtissue_estimator.observation.rigid import RigidMotion
+
+CENTRE = np.array([0.1, -0.2, 0.3])
+OBSERVED = np.array([[0.0, 0.0, 0.010], [0.0, 0.0, 0.004]])
+WELL = {
+    "field_m": 0.0002,
+    "plausible": True,
+    "farthest_m": 0.019,
+    "unexplained_m": 0.0004,
+    "off_m": 0.008,
+    "off_rad": 0.08,
+    "outliers": 0.2,
+    "lost": False,
+}
+
+
+def said(**wrong):
+    found = WELL | wrong
+    mean = torch.zeros(4, 3, dtype=torch.float64)
+    mean[2, 1] = found["farthest_m"]
+    prior = SimpleNamespace(field=torch.tensor(found["field_m"] ** 2))
+    posterior = SimpleNamespace(
+        mean=mean, plausible=found["plausible"], amplitudes=SimpleNamespace(prior=prior)
+    )
+    turn = Rotation.from_rotvec([found["off_rad"], 0.0, 0.0]).as_matrix()
+    motion = RigidMotion(turn, CENTRE - turn @ CENTRE + [0.0, found["off_m"], 0.0])
+    registration = RegistrationEstimate(CENTRE, motion, np.eye(6))
+    expected = expected_error(CENTRE, 0.005, 0.05)
+    return doubts(
+        posterior,
+        OBSERVED,
+        found["unexplained_m"],
+        registration,
+        expected,
+        found["outliers"],
+        found["lost"],
+    )
+
+
+def test_nothing_is_said_where_all_is_well():
+    assert said() == ()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        ({"outliers": 0.3}, "30 % of the points torn off"),
+        ({"lost": True}, "answered anew"),
+        ({"unexplained_m": 0.0021}, "2.1 mm that no load explains"),
+        ({"field_m": 0.0019}, "errors of 1.9 mm that they share"),
+        ({"off_m": 0.022}, "off by 22 mm and 5 degrees"),
+        ({"off_rad": 0.21}, "off by 8 mm and 12 degrees"),
+        ({"plausible": False}, "torn or inverted"),
+        ({"farthest_m": 0.021}, "some that move far more"),
+    ],
+)
+def test_each_reason_is_said_alone(wrong, sentence):
+    (reason,) = said(**wrong)
+    assert sentence in reason
