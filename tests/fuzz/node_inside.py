@@ -76,6 +76,11 @@ class WatchedNode(EstimatorNode):
     def organ_name(self) -> str:
         return self._responder.setup.organ
 
+    def finish_saying(self) -> None:
+        """Wait until what is counted is said, too: the node counts first, and does both under one lock."""
+        with self._responder._lock:
+            pass
+
     @property
     def waiting(self) -> int:
         return self._stream._intake.waiting if self._stream._intake else 0
@@ -170,6 +175,7 @@ class NodeInside:
             expect(counts.received == received + 1, "a cloud is not counted once")
             settled = counts.answered + counts.refused + counts.dropped + waiting
             if settled == counts.received and (waiting or self._kept("status")):
+                self._node.finish_saying()
                 return
             expect(
                 settled <= counts.received, f"more clouds settled than received: {counts}, {waiting} waiting"
