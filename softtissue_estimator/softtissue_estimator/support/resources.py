@@ -61,6 +61,11 @@ def bundled_bag() -> Path:
     return resource("bags", "phantom")
 
 
+def bundled_scene() -> Path:
+    """Bag (folder) of what a moving stereo laparoscope sees of the bundled organ: bare clouds and tracks."""
+    return resource("bags", "laparoscope")
+
+
 def transport_profile() -> Path:
     """Fast DDS profile that lets whole clouds through."""
     return resource("config", "fastdds_profile.xml")

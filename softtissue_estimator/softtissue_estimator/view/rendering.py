@@ -102,7 +102,7 @@ def rasterise_triangles(
     if farthest:
         position[:, 2] = -position[:, 2]
     attributes = np.concatenate([vertex_normals(mesh) @ camera.axes.T, values], axis=1)
-    triangle, pixel, weights, depth = _cover(position[mesh.faces], camera.shape)
+    triangle, pixel, weights, depth = covered_pixels(position[mesh.faces], camera.shape)
     # Numpy keeps the last of several values for one pixel: the nearest, in this order.
     order = np.argsort(depth, kind="stable")
     winner = np.full(camera.shape[0] * camera.shape[1], -1)
@@ -120,7 +120,7 @@ def rasterise_triangles(
     return Fragments(nearness.reshape(camera.shape), image[..., :3], image[..., 3:])
 
 
-def _cover(
+def covered_pixels(
     corners: Array, shape: tuple[int, int]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:
     """Find the pixels whose centres projected triangles cover.

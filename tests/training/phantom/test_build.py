@@ -16,8 +16,9 @@ from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.organ.signed_distance import signed_distance
 from softtissue_training.organs.tetrahedralise import radius_ratio
 from softtissue_training.phantom import filled_shape
-from softtissue_training.phantom.bag import START_NS, BagWriter, folder_digest
+from softtissue_training.phantom.bag import BagWriter
 from softtissue_training.phantom.build import build_phantom, describe
+from softtissue_training.phantom.message_writer import START_NS, folder_digest
 from softtissue_training.phantom.motion import push_force
 from softtissue_training.phantom.sensor import choose_markers, endoscope_pose
 from softtissue_training.phantom.spec import PhantomSpec, Push

@@ -48,7 +48,7 @@ def _phantom(options: argparse.Namespace) -> int:
     from softtissue_training.experiments.phantom.experiment import run_phantom
     from softtissue_training.experiments.phantom.own_case import own_phantom_case
     from softtissue_training.experiments.phantom.report import make_report, summary_tables
-    from softtissue_training.phantom.bag import check_replaceable
+    from softtissue_training.phantom.message_writer import check_replaceable
 
     def progress(message: str) -> None:
         print(f"==> {message}", file=sys.stderr, flush=True)

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from softtissue_estimator.errors import SoftTissueError
-from softtissue_training.phantom.bag import folder_digest
 from softtissue_training.phantom.build import build_phantom, describe
+from softtissue_training.phantom.message_writer import folder_digest
 from softtissue_training.phantom.spec import PhantomSpec
 
 

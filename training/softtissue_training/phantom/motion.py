@@ -1,6 +1,6 @@
 """The organ's motion: a sequence of equilibria under a changing push, and what lies between them in time."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -85,25 +85,80 @@ def simulate(anatomy: Anatomy, spec: PhantomSpec, progress: Callable[[str], None
     MeshError
         If the organ cannot be filled with elements.
     """
+    held = hold(anatomy, spec)
+    share = held.shares(spec.push)
+    times = np.linspace(0.0, spec.duration, spec.states)
+    forces = np.stack([push_force(spec.push, time / spec.duration) for time in times])
+    return follow(held, times, [share[:, None] * force for force in forces], progress)
+
+
+@dataclass(frozen=True)
+class HeldOrgan:
+    """The organ as finite elements that are held where it is attached.
+
+    Attributes
+    ----------
+    mesh
+        n nodes.
+    body
+        Finds equilibria under forces at the nodes.
+    attached
+        (n,) bool.
+    """
+
+    mesh: QuadraticMesh
+    body: Body
+    attached: NDArray[np.bool_]
+
+    def shares(self, push: Push) -> Array:
+        """Share ``(n,)`` of a push that each node carries; attached ones carry nothing."""
+        share = push_shares(self.mesh, push)
+        share[self.attached] = 0.0
+        share /= share.sum()
+        return share
+
+
+def hold(anatomy: Anatomy, spec: PhantomSpec) -> HeldOrgan:
+    """Fill an organ with elements of the phantom's tissue and hold it where it is attached.
+
+    Raises
+    ------
+    MeshError
+        If the organ cannot be filled with elements.
+    """
     mesh = to_quadratic(fill(anatomy.shape, spec.element_size))
     attached = attached_nodes(mesh, anatomy)
     body = Body(mesh, mooney_rivlin(spec.youngs_modulus_pa, spec.poisson_ratio), attached)
-    share = push_shares(mesh, spec.push)
-    share[attached] = 0.0
-    share /= share.sum()
-    times = np.linspace(0.0, spec.duration, spec.states)
-    forces = np.stack([push_force(spec.push, time / spec.duration) for time in times])
-    states = [np.zeros_like(mesh.nodes)]
+    return HeldOrgan(mesh, body, attached)
+
+
+def follow(
+    held: HeldOrgan, times: Array, loads: Sequence[Array], progress: Callable[[str], None] = lambda _: None
+) -> Motion:
+    """Follow an organ's equilibria from the undeformed state through changing loads.
+
+    Parameters
+    ----------
+    held : the organ, n nodes
+    times : (s,) s; the organ is undeformed at the first one
+    loads : (n, 3) N for each of the times; the first is taken to be none
+
+    Raises
+    ------
+    SolverDivergedError
+        If an equilibrium is not found.
+    """
+    states = [np.zeros_like(held.mesh.nodes)]
     equilibria = []
-    for number in range(1, spec.states):
-        loads = share[:, None] * forces[number - 1 : number + 1, None]
-        equilibria.append(_advance(body, loads[0], loads[1], states[-1]))
+    forces = np.stack([load.sum(axis=0) for load in loads])
+    for number in range(1, len(times)):
+        equilibria.append(_advance(held.body, loads[number - 1], loads[number], states[-1]))
         states.append(equilibria[-1].displacement)
         progress(
-            f"equilibrium {number} of {spec.states - 1}: {np.linalg.norm(forces[number]):.2f} N, "
+            f"equilibrium {number} of {len(times) - 1}: {np.linalg.norm(forces[number]):.2f} N, "
             f"{equilibria[-1].iterations} iterations, residual {equilibria[-1].residual:.0e}"
         )
-    return Motion(times, np.stack(states), Interpolator(mesh), tuple(equilibria), forces)
+    return Motion(times, np.stack(states), Interpolator(held.mesh), tuple(equilibria), forces)
 
 
 def _advance(body: Body, before: Array, now: Array, start: Array, halvings: int = 3) -> Equilibrium:

@@ -15,7 +15,8 @@ from scipy.spatial import cKDTree
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.organ.organ import Organ
 from softtissue_training.evaluation.streams.stream import Stream
-from softtissue_training.phantom.bag import MARKERS_TOPIC, POINTS_TOPIC, folder_digest
+from softtissue_training.phantom.bag import MARKERS_TOPIC, POINTS_TOPIC
+from softtissue_training.phantom.message_writer import folder_digest
 from softtissue_training.phantom.recorded import read_recorded
 
 FloatArray = NDArray[np.float64]

@@ -11,7 +11,7 @@ from pathlib import Path
 from softtissue_estimator.errors import SoftTissueError
 from softtissue_training.experiments.breathing_liver.build import build_case, describe
 from softtissue_training.experiments.breathing_liver.spec import BreathingSpec
-from softtissue_training.phantom.bag import folder_digest
+from softtissue_training.phantom.message_writer import folder_digest
 
 
 def main(arguments: list[str] | None = None) -> int:
