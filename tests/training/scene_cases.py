@@ -23,7 +23,7 @@ COARSE = PhantomSpec(
 )
 # A quarter of the pixels each way; errors of a quarter of a pixel are as large in space.
 CAMERA = replace(
-    StereoCamera(), columns=160, rows=120, focal=140.0, disparity_noise=0.05, disparity_bias=0.075
+    StereoCamera(), columns=160, rows=120, focal=140.0, disparity_noise=0.05, disparity_bias=0.0625
 )
 SPEC = SceneSpec(
     phantom=COARSE,

@@ -10,8 +10,9 @@ import pytest
 from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_training.scene.camera import StereoCamera
 from softtissue_training.scene.pose import Pose
-from softtissue_training.scene.sensor import StereoSensor
+from softtissue_training.scene.sensor import Frame, StereoSensor
 from softtissue_training.scene.tracks import Tracker
+from softtissue_training.scene.view import see
 from softtissue_training.scene.world import ORGAN, SURFACES, Moment
 from training.scene_cases import CAMERA
 
@@ -49,16 +50,27 @@ def test_noise_grows_with_the_square_of_the_depth():
 
 def test_bias_is_smooth_a_millimetre_or_two_and_along_the_ray():
     camera = replace(StereoCamera(), disparity_noise=0.0)
-    sensor = StereoSensor(camera, np.random.default_rng(1))
-    frame = sensor.look(wall_at(0.125), HERE, 0.0)
-    rows, columns = (axis.ravel() for axis in np.mgrid[0:480:10, 30:640:10])
-    measured = sensor.measure(frame, rows, columns)
-    np.testing.assert_allclose(camera.project(measured)[:, :2], np.stack([columns, rows], axis=1), atol=1e-9)
-    errors = (measured[:, 2] - 0.125).reshape(48, -1)
-    assert 0.001 < errors.std() < 0.002
-    # Points 2.2 mm apart share most of it, points 50 mm apart little.
-    assert np.corrcoef(errors[:, 1:].ravel(), errors[:, :-1].ravel())[0, 1] > 0.9
-    assert abs(np.corrcoef(errors[:, 22:].ravel(), errors[:, :-22].ravel())[0, 1]) < 0.5
+    rows, columns = (axis.ravel() for axis in np.mgrid[0:480:8, 30:638:8])
+    errors = []
+    for seed in range(6):
+        sensor = StereoSensor(camera, np.random.default_rng(seed))
+        moment = wall_at(0.125)
+        frame = Frame(0.0, moment, HERE, see(moment, HERE, camera), np.ones((480, 640), dtype=bool))
+        measured = sensor.measure(frame, rows, columns)
+        expected = np.stack([columns, rows], axis=1)
+        np.testing.assert_allclose(camera.project(measured)[:, :2], expected, atol=1e-9)
+        errors.append((measured[:, 2] - 0.125).reshape(60, -1))
+    field = np.stack(errors)
+    assert 0.001 < np.sqrt(np.mean(field**2)) < 0.002
+
+    def correlation(millimetres):
+        step = round(millimetres / (125.0 * 8 / camera.focal))
+        return np.mean(field[:, :, step:] * field[:, :, :-step]) / np.mean(field**2)
+
+    # About exp(-d^2 / 2 l^2) with l = 20 mm.
+    assert correlation(3.6) > 0.95
+    assert 0.35 < correlation(20.0) < 0.85
+    assert abs(correlation(60.0)) < 0.5
 
 
 def test_nothing_is_matched_that_one_eye_does_not_see():

@@ -43,8 +43,8 @@ class FrameFigures:
         s.
     points, foreign
         Of the cloud: all, and those that are not on the organ.
-    depth
-        m, median of the points' depths.
+    depth, bias
+        m, of the points on the organ: median of their depths, and root mean square of their smooth error in depth.
     visible
         Share of the organ's surface in the image.
     moved
@@ -57,6 +57,7 @@ class FrameFigures:
     points: int
     foreign: int
     depth: float
+    bias: float
     visible: float
     moved: float
     tracks: NDArray[np.uint32]
@@ -127,6 +128,13 @@ def _generators(spec: SceneSpec) -> list[np.random.Generator]:
     return [shape, *others]
 
 
+def _bias_of(points: Array, eyes: StereoSensor, time: float) -> float:
+    """Root mean square (m) of the smooth error of points ``(n, 3)`` m in depth."""
+    camera = eyes.camera
+    error = eyes.bias(camera.project(points)[:, :2], time)
+    return float(np.sqrt(np.mean((points[:, 2] ** 2 * error / (camera.focal * camera.baseline)) ** 2)))
+
+
 class _Recorder:
     """Writes the scene's frames, each with all that belongs to its time."""
 
@@ -164,7 +172,8 @@ class _Recorder:
                 time,
                 len(points),
                 int(np.count_nonzero(labels != ORGAN)),
-                float(np.median(points[:, 2])),
+                float(np.median(points[labels == ORGAN, 2])),
+                _bias_of(points[labels == ORGAN], eyes, time),
                 *self._organ_figures(frame),
                 tracked.id,
             )

@@ -35,7 +35,7 @@ class StereoCamera:
     focal: float = 560.0
     baseline: float = 0.005
     disparity_noise: float = 0.20
-    disparity_bias: float = 0.30
+    disparity_bias: float = 0.25
 
     @property
     def centre(self) -> Array:
@@ -92,7 +92,7 @@ class CameraPath:
 
     port: tuple[float, float, float] = (0.035, -0.215, -0.165)
     target: tuple[float, float, float] = (-0.010, -0.045, -0.028)
-    insertion: float = 0.122
+    insertion: float = 0.126
     wander: float = 0.010
     slide: float = 0.008
     roll: float = 0.06

@@ -16,6 +16,7 @@ def describe(scene: Scene, figures: list[FrameFigures], spec: SceneSpec) -> str:
     depth = 1e3 * np.array([one.depth for one in figures])
     moved = 1e3 * np.array([one.moved for one in figures])
     points = np.array([one.points for one in figures])
+    bias = 1e3 * np.array([one.bias for one in figures])
     noise = 1e3 * scene.camera.noise_at(np.array(_DEPTHS_M))
     return "\n".join(
         [
@@ -23,7 +24,7 @@ def describe(scene: Scene, figures: list[FrameFigures], spec: SceneSpec) -> str:
             f"largest relative residual {motion.worst_residual:.1e}",
             f"organ: its surface moves {_span(moved)} mm on average, {_span(visible)} % of it is in the image",
             f"clouds: {len(figures)} of {points.min()} to {points.max()} points, {_span(foreign)} % not on the organ",
-            f"depth: median {_span(depth)} mm; noise "
+            f"depth of the organ: median {_span(depth)} mm; smooth error {_span(bias)} mm (rms); noise "
             + ", ".join(f"{n:.2f} mm at {1e3 * d:.0f} mm" for n, d in zip(noise, _DEPTHS_M, strict=True)),
             _tracks_line(figures),
             _marker_line(scene),

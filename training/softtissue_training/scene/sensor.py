@@ -46,13 +46,14 @@ class Wave:
         return np.asarray(np.sqrt(2.0 / len(self.phases)) * np.cos(angle).sum(axis=1))
 
 
-def random_wave(length: float, period: float, rng: np.random.Generator, count: int = 12) -> Wave:
-    """Draw a field with waves of about `length` (pixels) and `period` (s); half of them stand still."""
-    direction = rng.uniform(0.0, 2.0 * np.pi, count)
-    number = 2.0 * np.pi / (length * rng.uniform(0.7, 1.6, count))
+def random_wave(length: float, period: float, rng: np.random.Generator, count: int = 24) -> Wave:
+    """Draw a field whose covariance over the image is about a Gaussian of `length` (pixels).
+
+    Half of its waves stand still; the others change within about `period` (s).
+    """
+    number = rng.normal(0.0, 1.0 / length, (count, 2))
     rate = 2.0 * np.pi / period * rng.uniform(-1.0, 1.0, count) * (np.arange(count) % 2)
-    vectors = np.stack([number * np.cos(direction), number * np.sin(direction), rate], axis=1)
-    return Wave(vectors, rng.uniform(0.0, 2.0 * np.pi, count))
+    return Wave(np.column_stack([number, rate]), rng.uniform(0.0, 2.0 * np.pi, count))
 
 
 @dataclass(frozen=True)
@@ -97,10 +98,10 @@ class StereoSensor:
     def __init__(self, camera: StereoCamera, rng: np.random.Generator, dropped: float = 0.08) -> None:
         self.camera, self._rng = camera, rng
         focal = camera.focal
-        # Waves of 30 mm at a depth of 125 mm; holes of 15 mm.
-        self._error = random_wave(0.24 * focal, 8.0, rng)
-        self._holes = random_wave(0.12 * focal, 3.0, rng)
-        self._glare = random_wave(0.05 * focal, 1.0, rng)
+        # At a depth of 125 mm: an error that is smooth over 20 mm; holes of about 12 mm, glints of 3 mm.
+        self._error = random_wave(0.16 * focal, 8.0, rng)
+        self._holes = random_wave(0.05 * focal, 3.0, rng)
+        self._glare = random_wave(0.012 * focal, 1.0, rng)
         sample = rng.uniform([0, 0], [camera.columns, camera.rows], (4000, 2))
         self._threshold = float(np.quantile(self._holes(sample, 0.0), dropped))
 
