@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from softtissue_training.phantom.spec import PhantomSpec, Push
 from softtissue_training.scene.build import FrameFigures, Scene
 from softtissue_training.scene.camera import StereoCamera
+from softtissue_training.scene.pose import Pose
 from softtissue_training.scene.spec import Breathing, SceneSpec
 
 COARSE = PhantomSpec(
@@ -84,8 +85,13 @@ def motion_of(message):
     return Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), np.array([t.x, t.y, t.z])
 
 
-def in_organ_frame(messages, stamp, seen):
-    """Points (n, 3) m of the camera's frame at a stamp, by the poses that the bag holds."""
+def camera_in_organ(messages, stamp):
+    """Pose of the camera in the organ's frame at a stamp, by the poses that the bag holds."""
     turn, shift = motion_of(dict(messages["/camera_pose"])[stamp])
     organ_turn, organ_shift = motion_of(messages["/organ_pose_truth"][0][1])
-    return (seen @ turn.T + shift - organ_shift) @ organ_turn
+    return Pose(organ_turn.T @ turn, (shift - organ_shift) @ organ_turn)
+
+
+def in_organ_frame(messages, stamp, seen):
+    """Points (n, 3) m of the camera's frame at a stamp."""
+    return camera_in_organ(messages, stamp).outer(seen)

@@ -11,8 +11,9 @@ from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.organ.signed_distance import signed_distance
 from softtissue_estimator.support.resources import bundled_organ, bundled_scene
 from softtissue_training.scene.camera import StereoCamera
-from softtissue_training.scene.world import ORGAN, SURFACES
-from training.scene_cases import columns, in_organ_frame, motion_of, points, read_messages
+from softtissue_training.scene.view import see
+from softtissue_training.scene.world import ORGAN, SURFACES, Moment
+from training.scene_cases import camera_in_organ, columns, in_organ_frame, motion_of, points, read_messages
 
 
 @pytest.fixture(scope="module")
@@ -53,21 +54,25 @@ def test_a_third_of_the_points_is_not_on_the_organ(labels):
 def test_points_on_the_organ_lie_on_its_true_surface_but_for_noise_and_bias(messages, labels):
     organ, camera = load_organ(bundled_organ()), StereoCamera()
     vertices = slice(len(organ.structure_points), None)
-    clouds, ratio, error, depth = dict(messages["/surface_points"]), [], [], []
+    clouds, errors, depths = dict(messages["/surface_points"]), [], []
     for stamp, cloud in messages["/organ_truth"]:
         truth = SurfaceMesh(points(cloud)[vertices], organ.surface.faces)
         seen = points(clouds[stamp])[labels[stamp] == ORGAN]
-        distance = signed_distance(truth, in_organ_frame(messages, stamp, seen))
-        size = np.hypot(camera.disparity_noise, camera.disparity_bias)
-        ratio.append(distance / (seen[:, 2] ** 2 * size / (camera.focal * camera.baseline)))
-        error.append(distance)
-        depth.append(seen[:, 2])
-    # Along the ray it is more than along the normal.
-    assert 0.6 < np.sqrt(np.mean(np.concatenate(ratio) ** 2)) < 1.0
-    assert np.abs(np.concatenate(ratio)).max() < 6.0
-    error, depth = np.concatenate(error), np.concatenate(depth)
-    near, far = depth < np.quantile(depth, 0.2), depth > np.quantile(depth, 0.8)
-    assert error[far].std() > 1.2 * error[near].std()
+        assert np.abs(signed_distance(truth, in_organ_frame(messages, stamp, seen))).max() < 0.008
+        # On its ray through the middle of a pixel each is off by an error of disparity.
+        moment = Moment(truth, truth.vertices, np.zeros(len(truth.faces), dtype=np.uint8))
+        column, row, disparity = camera.project(seen).T
+        assert np.abs(column - np.round(column)).max() < 1e-3 and np.abs(row - np.round(row)).max() < 1e-3
+        view = see(moment, camera_in_organ(messages, stamp), camera)
+        true = view.disparity[np.round(row).astype(int), np.round(column).astype(int)]
+        errors.append(disparity - true)
+        depths.append(camera.focal * camera.baseline / true)
+    error, depth = np.concatenate(errors), np.concatenate(depths)
+    size = np.hypot(camera.disparity_noise, camera.disparity_bias)
+    assert 0.75 * size < np.sqrt(np.mean(error**2)) < 1.25 * size
+    # The same in pixels near and far: in depth it grows with the square.
+    for part in (depth < np.quantile(depth, 0.2), depth > np.quantile(depth, 0.8)):
+        assert 0.6 * size < np.sqrt(np.mean(error[part] ** 2)) < 1.5 * size
 
 
 def test_markers_move_with_a_breath_and_a_push(messages):
