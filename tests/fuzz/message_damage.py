@@ -194,7 +194,9 @@ def _warp(rng: random.Random, request: WarpPoints.Request) -> None:
     if rng.random() < 0.3:
         _header(rng, request.header)
         return
-    points = (list(request.points) * rng.choice((1, 1, 1, 100, 2000)))[:_MOST_NUMBERS]
+    times = rng.choice((1, 1, 1, 100, 2000))
+    points = list(request.points)
+    points = (points * min(times, 1 + _MOST_NUMBERS // max(1, len(points))))[:_MOST_NUMBERS]
     points = points[: rng.choice((len(points), len(points), 0, 1, 4))]
     if points:
         points[rng.randrange(len(points))] = rng.choice(_FLOATS)
