@@ -20,12 +20,12 @@ MOST_STRAIN = 0.6
 _LEAST_TOLERANCE_M = 0.002
 _NEAREST_QUANTILE = 0.2  # of the differences between neighbours: those of good points, even if 40 % are wrong
 _TOLERANCE_OVER_QUANTILE = 4.0  # normal noise exceeds it in one pair of a thousand
-_NEIGHBOURS = 8
+_NEIGHBOURS = 6
 _REACH_M = 0.012  # neighbours farther apart say nothing about each other
 _MOST_JUDGES = (
     1500  # points that are compared with each other, spread over all; others are compared with these
 )
-_MOST_SAMPLED = 200  # points that a rigid motion is judged by
+_MOST_SAMPLED = 100  # points that a rigid motion is judged by
 _DRAWS = 48  # of three points; with 40 % outliers one of five draws is free of them
 
 
@@ -51,10 +51,12 @@ def continuous(reference: FloatArray, displacement: FloatArray) -> BoolArray:
     if len(first) == 0:
         return kept
     differing = np.linalg.norm(rest[judges[first]] - rest[judges[second]], axis=1)
-    noise = max(
-        _LEAST_TOLERANCE_M, _TOLERANCE_OVER_QUANTILE * float(np.quantile(differing, _NEAREST_QUANTILE))
-    )
+    place = int(_NEAREST_QUANTILE * len(differing))
+    nearest = float(np.partition(differing, place)[place])
+    noise = max(_LEAST_TOLERANCE_M, _TOLERANCE_OVER_QUANTILE * nearest)
     torn = differing > MOST_STRAIN * apart + noise
+    if not torn.any():
+        return kept
     good = _hanging_together(len(judges), first, second, torn)
     if len(judges) == len(reference):
         return good
@@ -83,8 +85,9 @@ def _hanging_together(count: int, first: IntArray, second: IntArray, torn: BoolA
     whole = coo_array((np.ones(int((~torn).sum())), (first[~torn], second[~torn])), shape=(count, count))
     parts, part = connected_components(whole, directed=False)
     size = np.bincount(part, minlength=parts)
-    ends = np.unique(np.sort(np.stack([part[first[torn]], part[second[torn]]]), axis=0), axis=1)
+    ends = np.sort(np.stack([part[first[torn]], part[second[torn]]]), axis=0).astype(np.int64)
     ends = ends[:, ends[0] != ends[1]]
+    ends = np.stack(np.divmod(np.unique(ends[0] * parts + ends[1]), parts))  # much faster than of pairs
     # Of two parts that are torn apart the larger is kept, unless it was dropped itself.
     kept = np.ones(parts, dtype=np.bool_)
     smaller = np.where(size[ends[0]] < size[ends[1]], ends[0], ends[1])
@@ -105,15 +108,13 @@ def _consensus_motion(source: FloatArray, target: FloatArray) -> RigidMotion:
     triples = np.random.default_rng(0).integers(len(start), size=(_DRAWS, 3))
     before, after = start[triples], end[triples]  # (d, 3, 3)
     centre_before, centre_after = before.mean(axis=1), after.mean(axis=1)
-    covariance = np.einsum("dka,dkb->dab", after - centre_after[:, None], before - centre_before[:, None])
+    covariance = (after - centre_after[:, None]).transpose(0, 2, 1) @ (before - centre_before[:, None])
     left, _, right = np.linalg.svd(covariance)
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
     rotation = left @ right
-    moved = (
-        np.einsum("dab,nb->dna", rotation, start)
-        + (centre_after - np.einsum("dab,db->da", rotation, centre_before))[:, None]
-    )
-    squared = np.square(moved - end).sum(axis=2)
+    turned = start @ rotation.transpose(0, 2, 1)  # (d, n, 3)
+    shift = centre_after - (rotation @ centre_before[:, :, None])[:, :, 0]
+    squared = np.square(turned + shift[:, None] - end).sum(axis=2)
     best = squared[int(np.median(squared, axis=1).argmin())]
     near = best <= np.median(best)
     return fit_rigid(start[near], end[near])

@@ -168,15 +168,15 @@ class ElasticEstimator(Estimator):
         sigma = solver.deviation(posterior)
         watch.lap("uncertainty")
         ratio = model.ratios.ratios[posterior.ratio]
-        misfit, mean = solver.residual(posterior), posterior.mean.cpu().numpy()
+        mean = posterior.mean.cpu().numpy()
         diagnosis = self._diagnosis(
             patches,
             posterior,
             expected,
-            solver.unexplained(posterior, misfit),
+            solver.unexplained(posterior),
             1.0 - float(kept.mean()),
         )
-        estimate = ElasticEstimate(model, patches, misfit, ratio, mean, sigma, diagnosis, watch.stages)
+        estimate = ElasticEstimate(model, patches, posterior.residual, ratio, mean, sigma, diagnosis, watch.stages)
         watch.lap("warp")
         return estimate
 

@@ -3,7 +3,7 @@
 Unknown loads make the prior: every load of the traction basis (`loads.load_basis`) has an amplitude a ~ N(0, v I_3) of
 its own variance. About a deformation u_k the organ answers linearly, u = offset + C a with C = K(u_k)^-1 B
 (`hyperelastic.Tangent`), and an observation y = H u + e, e ~ N(0, S), enters only through H^T S^-1 H, as large as the
-mesh however many the points:
+observed part of the mesh however many the points (`observed_nodes`):
 
     G = C^T (H^T S^-1 H (x) I_3) C,    (D^-2 + G) a = C^T H^T S^-1 (y - H offset),    D the roots of the variances.
 
@@ -15,19 +15,17 @@ rotations harmless.
 import math
 from dataclasses import dataclass
 
-import numpy as np
 import torch
-from scipy.sparse import csr_array
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
+from softtissue_estimator.estimators.elastic.observed_nodes import ObservedNodes
 from softtissue_estimator.estimators.elastic.relevance import (
     Amplitudes,
     Variances,
     determine_relevance,
     invert_lower,
 )
-from softtissue_estimator.organ.mesh import FloatArray
 
 LEAST_FIELD_SIGMA_M = 1e-4
 """Standard deviation of the field of errors, at least: neighbours err together by as much, however good."""
@@ -35,99 +33,43 @@ _BLOCK_ROWS = 160  # of a triangular matrix: as many as are worth a product of t
 
 
 @dataclass(frozen=True, eq=False)
-class ObservedNodes:
-    """An observation, summed up at the nodes of the mesh that it depends on.
-
-    Parameters
-    ----------
-    nodes : (s,) int64
-    normal : (s, s) float64, sparse, 1/m^2
-        H^T S^-1 H for one component.
-    right : (s, 3) float64 1/m
-        H^T S^-1 y.
-    power : float
-        y^T S^-1 y.
-    """
-
-    nodes: Tensor
-    normal: Tensor
-    right: Tensor
-    power: float
-
-
-@dataclass(frozen=True, eq=False)
 class Errors:
-    """What moves observed points without moving the organ.
+    """What moves observed nodes without moving the organ.
 
     Parameters
     ----------
-    columns : (n, 3, m + k) float64
-        Displacement of the nodes, m, by each unit: of m values of a field, then of k nuisance parameters with the prior
-        N(0, 1).
-    field_values : int
-        m.
+    field : (s, m) float64
+        Displacement of the nodes by each unit of a field, the same along each axis: 3 m values, of one centre after
+        the other.
+    nuisance : (s, 3, k) float64 m
+        Their displacement by each of k parameters with the prior N(0, 1).
     most_sigma_m : float
         Standard deviation of the field, at most.
     """
 
-    columns: Tensor
-    field_values: int
+    field: Tensor
+    nuisance: Tensor
     most_sigma_m: float = math.inf
 
+    @property
+    def field_values(self) -> int:
+        """3 m."""
+        return 3 * self.field.shape[1]
+
     def displacement(self, amplitudes: Amplitudes) -> Tensor:
-        """Mean of what they move the nodes by, (n, 3) float64 m."""
-        return self.columns @ amplitudes.errors
+        """Mean of what they move the observed nodes by, (s, 3) float64 m."""
+        return self.field @ amplitudes.field.view(-1, 3) + self.nuisance @ amplitudes.nuisance
 
 
-def sum_up(
-    interpolation: csr_array, observed: FloatArray, precision: FloatArray, device: torch.device
-) -> ObservedNodes:
-    """Sum an observation up at the nodes.
-
-    Parameters
-    ----------
-    interpolation : (c, n) sparse
-        H for one component.
-    observed : (c, 3) m
-        y.
-    precision : (c,) 1/m^2
-        Inverse variance of each component of `observed`.
-    """
-    used = np.zeros(interpolation.shape[1], dtype=np.bool_)
-    used[interpolation.indices] = True
-    nodes = np.flatnonzero(used)
-    entries = (np.cumsum(used) - 1)[interpolation.indices], interpolation.indptr
-    shape = interpolation.shape[0], len(nodes)
-    unweighted = csr_array((interpolation.data, *entries), shape=shape)
-    weights = precision.repeat(np.diff(interpolation.indptr))
-    weighted = csr_array((interpolation.data * weights, *entries), shape=shape)
-    right = torch.from_numpy(np.asarray(weighted.T @ observed))
-    normal = _sparse_tensor(csr_array(unweighted.T @ weighted))
-    power = float(precision @ np.square(observed).sum(axis=1))
-    return ObservedNodes(torch.from_numpy(nodes).to(device), normal.to(device), right.to(device), power)
-
-
-def _sparse_tensor(matrix: csr_array) -> Tensor:
-    matrix.sort_indices()
-    entries = matrix.tocoo()
-    place = torch.from_numpy(np.stack(entries.coords).astype(np.int64))
-    values = torch.from_numpy(entries.data)
-    return torch.sparse_coo_tensor(place, values, matrix.shape, check_invariants=False, is_coalesced=True)
-
-
-def equal_variances(tangent: Tangent, observed: ObservedNodes, prior_sigma_m: float) -> Tensor:
-    """Variance of every load's amplitude, all the same, that lets the observed nodes move by `prior_sigma_m`, (p,)."""
-    rows = _rows(tangent, observed)
-    power = rows.square().sum(dim=2).mean().double()
-    return (prior_sigma_m**2 / power).repeat(rows.shape[2] // 3)
+def equal_variances(tangent: Tangent, nodes: Tensor, prior_sigma_m: float) -> Tensor:
+    """Variance of every load's amplitude, all the same, that lets the nodes (s,) move by `prior_sigma_m`, (p,)."""
+    response = _response(tangent, nodes)
+    power = response.square().sum(dim=2).mean().double()
+    return (prior_sigma_m**2 / power).repeat(response.shape[2] // 3)
 
 
 def condition(
-    tangent: Tangent,
-    observed: ObservedNodes,
-    errors: Errors,
-    variances: Variances,
-    updates: int,
+    tangent: Tangent, observed: ObservedNodes, errors: Errors, variances: Variances, updates: int
 ) -> tuple[Amplitudes, float]:
     """Condition the loads on an observation; also the logarithm of the evidence, with a constant of the noise alone.
 
@@ -139,21 +81,40 @@ def condition(
     updates : int
         How often the variances are re-estimated.
     """
-    # In double precision from here on: G is as large as the square of the signal over the noise.
-    rows = torch.cat(
-        [_rows(tangent, observed).double(), errors.columns.index_select(0, observed.nodes)], dim=2
-    )
-    count, _, rank = rows.shape
-    flat = rows.reshape(3 * count, rank)
-    gram = flat.T @ (observed.normal @ rows.reshape(count, 3 * rank)).reshape(3 * count, rank)
-    offset = tangent.offset[observed.nodes]
+    offset = tangent.offset.index_select(0, observed.nodes)
     shifted = observed.normal @ offset
-    right = flat.T @ (observed.right - shifted).reshape(-1)
+    # In double precision from here on: G is as large as the square of the signal over the noise.
+    response = _response(tangent, observed.nodes).double()
+    gram, right = _normal_equations(response, errors, observed.normal, observed.right - shifted)
     amplitudes = determine_relevance(
         gram, right, variances, errors.field_values, updates, LEAST_FIELD_SIGMA_M**2, errors.most_sigma_m**2
     )
     power = observed.power + float((offset * (shifted - 2.0 * observed.right)).sum())
     return amplitudes, amplitudes.log_evidence(right, power)
+
+
+def _normal_equations(
+    response: Tensor, errors: Errors, normal: Tensor, right: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return J^T S^-1 J, (r, r), and J^T S^-1 y, (r,), of the field, the loads and the nuisance parameters.
+
+    Parameters
+    ----------
+    response : (s, 3, 3 p)
+        J of the loads.
+    normal : (s, s)
+    right : (s, 3)
+    """
+    direct = torch.cat([response, errors.nuisance], dim=2)
+    count, _, width = direct.shape
+    field, flat = errors.field, direct.reshape(3 * count, width)
+    weighted = normal @ direct.reshape(count, 3 * width)
+    # What the field moves along one axis tells nothing of another one.
+    mixed = (field.T @ weighted).reshape(errors.field_values, width)
+    alone = torch.kron(field.T @ (normal @ field), torch.eye(3, dtype=field.dtype, device=field.device))
+    outer = flat.T @ weighted.reshape(3 * count, width)
+    gram = torch.cat([torch.cat([alone, mixed], dim=1), torch.cat([mixed.T, outer], dim=1)])
+    return gram, torch.cat([(field.T @ right).reshape(-1), flat.T @ right.reshape(-1)])
 
 
 def mean_displacement(tangent: Tangent, amplitudes: Amplitudes) -> Tensor:
@@ -167,7 +128,7 @@ def standard_deviation(tangent: Tangent, amplitudes: Amplitudes) -> Tensor:
     # Single precision is plenty for a standard deviation.
     root = amplitudes.root
     count = len(root)
-    half = (invert_lower(amplitudes.factor)[:, :count] * root).float()  # L^-1 D, lower triangular like L
+    half = invert_lower(amplitudes.loads_factor)[:, :count].float() * root.float()  # L^-1 D, as triangular as L
     variance = torch.zeros(len(tangent.state), device=half.device)
     for begin in range(0, len(half), _BLOCK_ROWS):
         end = min(begin + _BLOCK_ROWS, len(half))
@@ -177,7 +138,7 @@ def standard_deviation(tangent: Tangent, amplitudes: Amplitudes) -> Tensor:
     return (variance / 3.0).sqrt().double()
 
 
-def _rows(tangent: Tangent, observed: ObservedNodes) -> Tensor:
-    """Response of the observed nodes, (s, 3, 3 p)."""
+def _response(tangent: Tangent, nodes: Tensor) -> Tensor:
+    """Displacement of nodes (s,) by unit loads, (s, 3, 3 p) float32."""
     by_node = tangent.response.view(len(tangent.state), 3, -1)
-    return by_node.index_select(0, observed.nodes)
+    return by_node.index_select(0, nodes)

@@ -27,6 +27,8 @@ class Posterior:
         Of the loads.
     mean : (n, 3) float64 m
         Nodal displacement.
+    residual : (c, 3) m
+        What it leaves of the observed displacement of each patch.
     model_sigma_m : float
         Error of the elastic model that the observation shows.
     ratio : int
@@ -44,6 +46,7 @@ class Posterior:
     tangent: Tangent
     amplitudes: Amplitudes
     mean: Tensor
+    residual: FloatArray
     model_sigma_m: float
     ratio: int
     log_evidence: float

@@ -2,9 +2,10 @@
 
 Amplitudes a of groups of three (the components of one load) have the prior N(0, v_g I_3), one variance v_g a group, and
 are observed through a linear model with Gaussian noise. Maximising the evidence over the variances drives most of them
-to zero (MacKay 1992; Tipping 2001): loads in surgery are few and local. Behind the loads stand errors that explain the
-observation too: a field of one variance for all its values, re-estimated in the same way (`smooth_error`), and nuisance
-parameters with the prior N(0, I), whose variances stay (`registration_error`).
+to zero (MacKay 1992; Tipping 2001): loads in surgery are few and local. Errors explain the observation too: before the
+loads stands a field of one variance for all its values, re-estimated in the same way (`smooth_error`), behind them
+nuisance parameters with the prior N(0, I), whose variances stay (`registration_error`). A Cholesky factor so has last
+rows that are the factor of what is left when the field is integrated out.
 """
 
 import math
@@ -51,15 +52,14 @@ class Variances:
     def roots(self, field: int, rank: int) -> Tensor:
         """Prior standard deviation of every parameter, (rank,), if the field has so many values."""
         roots = self.loads.new_ones(rank)
-        count = 3 * len(self.loads)
-        roots[:count] = self.loads.sqrt().repeat_interleave(3)
-        roots[count : count + field] = self.field.sqrt()
+        roots[:field] = self.field.sqrt()
+        roots[field : field + 3 * len(self.loads)] = self.loads.sqrt().repeat_interleave(3)
         return roots
 
 
 @dataclass(frozen=True, eq=False)
 class Amplitudes:
-    """Posterior of the amplitudes, r = 3 p + m + k of them: of p loads, m values of the field, k nuisance parameters.
+    """Posterior of the amplitudes, r = m + 3 p + k of them: m values of the field, of p loads, k nuisance parameters.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class Amplitudes:
 
     def with_loads(self, kept: Tensor) -> "Amplitudes":
         """Return the posterior that some of the loads alone, (l,) their numbers, would have with the same variances."""
-        used = _parameters(kept, len(self.variances), len(self.mean))
+        used = _parameters(kept, self.field_values, len(self.variances), len(self.mean))
         gram, prior = self.gram[used[:, None], used], self.prior.part(kept)
         factor, _ = _posterior(gram, torch.zeros_like(gram[0]), prior, self.field_values)
         return Amplitudes(self.mean[used], prior, self.field_values, factor, gram)
@@ -104,19 +104,28 @@ class Amplitudes:
         return self.prior.loads
 
     @property
-    def loads(self) -> Tensor:
-        """Mean of the loads alone, (3 p,)."""
-        return self.mean[: 3 * len(self.variances)]
+    def field(self) -> Tensor:
+        """Mean of the values of the field, (m,)."""
+        return self.mean[: self.field_values]
 
     @property
-    def errors(self) -> Tensor:
-        """Mean of the field and of the nuisance parameters, (m + k,)."""
-        return self.mean[3 * len(self.variances) :]
+    def loads(self) -> Tensor:
+        """Mean of the loads alone, (3 p,)."""
+        return self.mean[self.field_values : self._end]
 
     @property
     def nuisance(self) -> Tensor:
         """Mean of the nuisance parameters, (k,)."""
-        return self.errors[self.field_values :]
+        return self.mean[self._end :]
+
+    @property
+    def _end(self) -> int:
+        return self.field_values + 3 * len(self.variances)
+
+    @property
+    def loads_factor(self) -> Tensor:
+        """Factor (3 p + k, 3 p + k) of the loads and nuisance parameters with the field integrated out."""
+        return self.factor[self.field_values :, self.field_values :]
 
     @property
     def root(self) -> Tensor:
@@ -160,7 +169,7 @@ def determine_relevance(
     variances : Variances
         To start from, above zero.
     field_values : int
-        How many parameters behind the loads are values of the field.
+        How many parameters before the loads are values of the field.
     updates : int
         How often to re-estimate; 0 gives the posterior for the given variances.
     least_field, most_field : float
@@ -180,31 +189,32 @@ def _reestimated(
     gram: Tensor, right: Tensor, variances: Variances, kept: Tensor, field_values: int
 ) -> Variances:
     """Re-estimate the variances of the loads that are kept and of the field."""
-    count = 3 * len(kept)
     if len(kept) < len(variances.loads):
-        used = _parameters(kept, len(variances.loads), len(right))
+        used = _parameters(kept, field_values, len(variances.loads), len(right))
         gram, right = gram[used[:, None], used], right[used]
     part = variances.part(kept)
     factor, mean = _posterior(gram, right, part, field_values)
     # Posterior over prior variance.
     remaining = invert_lower(factor).square().sum(dim=0)
-    determined = (1.0 - remaining[:count].view(-1, 3).mean(dim=1)).clamp_min(_LEAST_DETERMINED_SHARE)
-    fixed_point = mean[:count].square().view(-1, 3).mean(dim=1) / determined
+    ours = slice(field_values, field_values + 3 * len(kept))
+    determined = (1.0 - remaining[ours].view(-1, 3).mean(dim=1)).clamp_min(_LEAST_DETERMINED_SHARE)
+    fixed_point = mean[ours].square().view(-1, 3).mean(dim=1) / determined
     fixed_point = fixed_point.clamp_min(_LEAST_VARIANCE_SHARE * float(part.loads.max()))
     loads = variances.loads.clone()
     loads[kept] = (part.loads * fixed_point).sqrt()
     field = variances.field
     if field_values:
-        values = slice(count, count + field_values)
-        share = (1.0 - remaining[values].mean()).clamp_min(_LEAST_DETERMINED_SHARE)
-        field = (field * mean[values].square().mean() / share).sqrt()
+        share = (1.0 - remaining[:field_values].mean()).clamp_min(_LEAST_DETERMINED_SHARE)
+        field = (field * mean[:field_values].square().mean() / share).sqrt()
     return Variances(loads, field)
 
 
-def _parameters(kept: Tensor, loads: int, count: int) -> Tensor:
-    """Numbers of the parameters, of so many with so many loads, that belong to the loads that are kept or to none."""
-    columns = (3 * kept[:, None] + torch.arange(3, device=kept.device)).reshape(-1)
-    return torch.cat([columns, torch.arange(3 * loads, count, device=kept.device)])
+def _parameters(kept: Tensor, field: int, loads: int, count: int) -> Tensor:
+    """Numbers of the parameters, of so many, that belong to the loads that are kept or to none."""
+    device = kept.device
+    columns = (field + 3 * kept[:, None] + torch.arange(3, device=device)).reshape(-1)
+    behind = torch.arange(field + 3 * loads, count, device=device)
+    return torch.cat([torch.arange(field, device=device), columns, behind])
 
 
 def invert_lower(factor: Tensor) -> Tensor:

@@ -22,22 +22,24 @@ _JITTER = (
 
 
 def field_columns(positions: Tensor, seen: FloatArray) -> Tensor:
-    """Displacement (n, 3, 3 k) of positions by one standard deviation of each independent part of the field, v = 1.
+    """Displacement of positions along any axis by one standard deviation of each independent part of the field, v = 1.
 
     Parameters
     ----------
-    positions : (n, 3) float64 m
+    positions : (s, 3) float64 m
     seen : (c, 3) m
         Where the organ is observed; at least one place.
+
+    Returns
+    -------
+    (s, k) float64
     """
-    centres = torch.from_numpy(_spread(seen)).to(positions.device)
+    centres = torch.from_numpy(seen[_spread(seen)]).to(positions.device)
     among = _covariance(centres, centres)
     among.diagonal().add_(_JITTER)
     factor = torch.linalg.cholesky(among)
-    values = torch.linalg.solve_triangular(factor, _covariance(centres, positions), upper=False).T
-    identity = torch.eye(3, dtype=positions.dtype, device=positions.device)
-    by_centre: Tensor = values[:, None, :, None] * identity[None, :, None, :]
-    return by_centre.reshape(len(positions), 3, -1)
+    columns: Tensor = torch.linalg.solve_triangular(factor, _covariance(centres, positions), upper=False).T
+    return columns
 
 
 def _covariance(first: Tensor, second: Tensor) -> Tensor:
@@ -45,11 +47,11 @@ def _covariance(first: Tensor, second: Tensor) -> Tensor:
     return covariance
 
 
-def _spread(points: FloatArray) -> FloatArray:
+def _spread(points: FloatArray) -> list[int]:
     """Choose some of the points (c, 3) m, each as far as possible from those before."""
     chosen = [int(np.square(points - points.mean(axis=0)).sum(axis=1).argmin())]
     nearest = np.square(points - points[chosen[0]]).sum(axis=1)
     while nearest.max() > SPACING_M**2 and len(chosen) < MOST_CENTRES:
         chosen.append(int(nearest.argmax()))
         np.minimum(nearest, np.square(points - points[chosen[-1]]).sum(axis=1), out=nearest)
-    return np.asarray(points[chosen])
+    return chosen

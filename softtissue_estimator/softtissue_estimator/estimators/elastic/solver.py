@@ -7,21 +7,19 @@ from functools import partial
 
 import numpy as np
 import torch
-from scipy.sparse import csr_array
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent, to_tensor
 from softtissue_estimator.estimators.elastic.linear_gaussian import (
     Errors,
-    ObservedNodes,
     condition,
     equal_variances,
     mean_displacement,
     standard_deviation,
-    sum_up,
 )
 from softtissue_estimator.estimators.elastic.misfit import Misfit
 from softtissue_estimator.estimators.elastic.model import ElasticModel
+from softtissue_estimator.estimators.elastic.observed_nodes import ObservedPlaces
 from softtissue_estimator.estimators.elastic.plausibility import plausible_fit
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
@@ -78,8 +76,8 @@ class Solver:
         self._model, self._patches, self._registration = model, patches, registration
         self._positions = patches.reference + patches.displacement
         self._prior_sigma_m, self._misfit = prior_sigma_m, Misfit(patches, model_sigma_m)
-        self._field = field_columns(model.nodes, patches.reference)
-        self._interpolation: csr_array = model.surface_interpolation(patches.reference)
+        self._places = ObservedPlaces(model.surface_interpolation(patches.reference), model.device)
+        self._field = field_columns(model.nodes.index_select(0, self._places.nodes), patches.reference)
         nodes = model.mesh.nodes
         self._moved = to_tensor(motion.apply(nodes) - nodes, model.device)
         self._rotation = to_tensor(motion.rotation, model.device)
@@ -91,9 +89,11 @@ class Solver:
         """What is known of the registration's error before the observation."""
         return self._registration
 
-    def unexplained(self, posterior: Posterior, residual: FloatArray) -> float:
-        """Return the root mean square of a residual (c, 3) m that is not noise, m; outliers count little."""
-        return self._misfit.unexplained(residual, self._misfit.weights(residual, posterior.model_sigma_m))
+    def unexplained(self, posterior: Posterior) -> float:
+        """Return the root mean square of what a posterior leaves and noise does not, m; outliers count little."""
+        return self._misfit.unexplained(
+            posterior.residual, self._misfit.weights(posterior.residual, posterior.model_sigma_m)
+        )
 
     @property
     def ratios(self) -> frozenset[int]:
@@ -114,7 +114,7 @@ class Solver:
         self, posterior: Posterior, registration: RegistrationError, sigma: float, updates: int
     ) -> Posterior:
         """Explain the observation again about the same state, with another registration or error of the model."""
-        weight = self._misfit.weights(self.residual(posterior), posterior.model_sigma_m)
+        weight = self._misfit.weights(posterior.residual, posterior.model_sigma_m)
         variances = posterior.amplitudes.prior
         return self._explain(
             posterior.tangent, registration, variances, sigma, weight, updates, posterior.ratio
@@ -139,9 +139,8 @@ class Solver:
                 most_field_m=float(start.variances.field.sqrt()),
             )
             posterior = self._plausible(explain, sigma)
-            residual = self.residual(posterior)
-            weight = self._misfit.weights(residual, posterior.model_sigma_m)
-            misfit = self._misfit.unexplained(residual, weight)
+            weight = self._misfit.weights(posterior.residual, posterior.model_sigma_m)
+            misfit = self._misfit.unexplained(posterior.residual, weight)
             # Loads that explained the earlier observation closely explain this one at any price, however far they move
             # what is hidden.
             sigma = max(sigma, self._misfit.model_sigma(misfit))
@@ -202,7 +201,7 @@ class Solver:
         if registration is None:
             registration = posterior.registration.moved_by(posterior.registration_step)
         ratio = posterior.ratio if ratio is None else ratio
-        residual = self.residual(posterior)
+        residual = posterior.residual
         weight = self._misfit.weights(residual, posterior.model_sigma_m)
         body = self._model.body
         state = body.guarded(posterior.tangent.state, posterior.mean) if guarded else posterior.mean
@@ -210,19 +209,12 @@ class Solver:
         if variances is None:
             begin = posterior.amplitudes.prior
         else:
-            observed = self._observed(registration, self._patches.precision)
-            least = LEAST_START_SHARE * equal_variances(tangent, observed, self._prior_sigma_m)
+            least = LEAST_START_SHARE * equal_variances(tangent, self._places.nodes, self._prior_sigma_m)
             begin = variances.at_least_each(least)
         return self._plausible(
             lambda sigma: self._explain(tangent, registration, begin, sigma, weight, VARIANCE_UPDATES, ratio),
             self._misfit.model_sigma(self._misfit.unexplained(residual, weight)),
         )
-
-    def residual(self, posterior: Posterior) -> FloatArray:
-        """Return the observed displacement of each patch minus the mean, (c, 3) m."""
-        shift = self._errors(posterior.tangent, posterior.registration).displacement(posterior.amplitudes)
-        expected = self._interpolation @ (posterior.mean + shift).cpu().numpy()
-        return np.asarray(self._displacement(posterior.registration) - expected)
 
     def _displacement(self, registration: RegistrationError) -> FloatArray:
         """Observed displacement of each patch with what is supposed of the registration taken out, (c, 3) m."""
@@ -232,8 +224,8 @@ class Solver:
         self, tangent: Tangent, registration: RegistrationError, most_field_m: float = math.inf
     ) -> Errors:
         """Return what moves the observed points without moving the organ."""
-        pose = registration.columns(self._model.nodes + tangent.state)
-        return Errors(torch.cat([self._field, pose], dim=2), self._field.shape[2], most_field_m)
+        positions = (self._model.nodes + tangent.state).index_select(0, self._places.nodes)
+        return Errors(self._field, registration.columns(positions), most_field_m)
 
     def deviation(self, posterior: Posterior) -> FloatArray:
         """Return the standard deviation of each component at the nodes, (n,) m."""
@@ -260,9 +252,8 @@ class Solver:
 
     def _doubting_variance(self, posterior: Posterior) -> Tensor:
         """Return the nodes' variance with a least variance of every load, (n,) m^2; the posterior has all loads."""
-        observed = self._observed(posterior.registration, self._patches.precision)
-        least = LEAST_VARIANCE_SHARE * equal_variances(posterior.tangent, observed, self._prior_sigma_m)
-        amplitudes = posterior.amplitudes.with_least_variances(least)
+        equal = equal_variances(posterior.tangent, self._places.nodes, self._prior_sigma_m)
+        amplitudes = posterior.amplitudes.with_least_variances(LEAST_VARIANCE_SHARE * equal)
         return standard_deviation(posterior.tangent, amplitudes).square()
 
     def _plausible(self, fit: Callable[[float], Posterior], model_sigma_m: float) -> Posterior:
@@ -281,17 +272,15 @@ class Solver:
         most_field_m: float = math.inf,
     ) -> Posterior:
         precision = weight * self._patches.precision_with(sigma)
-        observed = self._observed(registration, precision)
+        displacement = self._displacement(registration)
         if variances is None:
-            loads = equal_variances(tangent, observed, self._prior_sigma_m)
+            loads = equal_variances(tangent, self._places.nodes, self._prior_sigma_m)
             variances = Variances(loads, loads.new_tensor(FIRST_FIELD_SIGMA_M**2))
-        amplitudes, evidence = condition(
-            tangent, observed, self._errors(tangent, registration, most_field_m), variances, updates
-        )
+        errors = self._errors(tangent, registration, most_field_m)
+        observed = self._places.sum_up(displacement, precision)
+        amplitudes, evidence = condition(tangent, observed, errors, variances, updates)
         evidence += 1.5 * float(np.log(precision).sum()) + self._model.ratios.log_probability[ratio]
         mean = mean_displacement(tangent, amplitudes)
-        return Posterior(tangent, amplitudes, mean, sigma, ratio, evidence, registration)
-
-    def _observed(self, registration: RegistrationError, precision: FloatArray) -> ObservedNodes:
-        """Sum the observation up at the nodes."""
-        return sum_up(self._interpolation, self._displacement(registration), precision, self._model.device)
+        shown = mean.index_select(0, self._places.nodes) + errors.displacement(amplitudes)
+        residual = displacement - self._places.at(shown)
+        return Posterior(tangent, amplitudes, mean, residual, sigma, ratio, evidence, registration)
