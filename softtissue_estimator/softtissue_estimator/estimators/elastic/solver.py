@@ -41,7 +41,7 @@ LEAST_VARIANCE_SHARE = 1e-3
 """Of a load's variance before any observation, which stays in the standard deviation: relevance determination prunes
 the loads that nothing was seen of, and with them the doubt about what is hidden."""
 LEAST_DEVIATION_M = 5e-5  # standard deviation of any answer, for all that the model does not describe
-LEAST_START_SHARE = 1e-4
+LEAST_START_SHARE = 1e-2
 """Of a load's variance before any observation, with which a step begins that goes on from earlier ones: an organ at
 rest leaves none, and without any nothing could move it again."""
 LOST_TRACK_MISFIT_M = 0.0015
@@ -126,12 +126,14 @@ class Solver:
         None where the organ has moved too far since for that.
         """
         weight, sigma = np.ones(len(self._patches.precision)), start.model_sigma_m
+        least = LEAST_START_SHARE * equal_variances(start.tangent, self._places.nodes, self._prior_sigma_m)
+        variances = start.variances.at_least_each(least)
         for _ in range(2):
             explain = partial(
                 self._explain,
                 start.tangent,
                 self._registration,
-                start.variances,
+                variances,
                 weight=weight,
                 updates=1,
                 ratio=start.ratio,
