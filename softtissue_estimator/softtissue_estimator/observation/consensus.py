@@ -52,8 +52,8 @@ def continuous(reference: FloatArray, displacement: FloatArray) -> BoolArray:
         return kept
     differing = np.linalg.norm(rest[judges[first]] - rest[judges[second]], axis=1)
     place = int(_NEAREST_QUANTILE * len(differing))
-    nearest = float(np.partition(differing, place)[place])
-    noise = max(_LEAST_TOLERANCE_M, _TOLERANCE_OVER_QUANTILE * nearest)
+    usual = float(np.partition(differing, place)[place])
+    noise = max(_LEAST_TOLERANCE_M, _TOLERANCE_OVER_QUANTILE * usual)
     torn = differing > MOST_STRAIN * apart + noise
     if not torn.any():
         return kept

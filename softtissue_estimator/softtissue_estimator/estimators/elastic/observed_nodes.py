@@ -79,4 +79,3 @@ class ObservedPlaces:
         normal = torch.from_numpy((whole.T @ weighted).toarray())
         power = float(precision @ np.square(observed).sum(axis=1))
         return ObservedNodes(self.nodes, normal.to(self._device), right.to(self._device), power)
-
