@@ -32,11 +32,16 @@ def main() -> None:
     from rclpy.signals import SignalHandlerOptions
 
     from softtissue_estimator.errors import SoftTissueError
+    from softtissue_estimator.ros.command_line import parse_arguments
     from softtissue_estimator.ros.estimator_node import EstimatorNode
     from softtissue_estimator.ros.inputs.transport import use_profile
 
-    profile = use_profile()
     stop.begin()
+    try:
+        parse_arguments(sys.argv[1:])
+    except SoftTissueError as error:
+        leave(_complain(str(error)))
+    profile = use_profile()
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:

@@ -1,6 +1,7 @@
 """The node's parameters, derived from `EstimatorConfig`: one place for names, types, ranges and descriptions."""
 
 import dataclasses
+import sys
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -10,6 +11,7 @@ from rclpy.parameter import Parameter
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.ros.command_line import check_parameters
 
 # Read anew for every cloud, so they may change while the node works. Everything else goes into what is loaded.
 LIVE = frozenset(
@@ -59,8 +61,10 @@ def declare_parameters(node: Node) -> None:
     Raises
     ------
     InvalidInputError
-        If a value given at the start is of the wrong type or outside its range.
+        If a value given at the start is of the wrong type or outside its range, or of a parameter that is misspelt.
     """
+    for sentence in check_parameters(node._parameter_overrides, sys.argv):
+        node.get_logger().warning(sentence)
     for field in dataclasses.fields(EstimatorConfig):
         try:
             default = NODE_DEFAULTS.get(field.name, field.default)
