@@ -42,7 +42,8 @@ class CloudStream:
         self._registration, self._boundary = registration, boundary
         self._pipeline: Pipeline | None = None
         self._intake: Intake | None = None
-        self._open_since_s = self._complained_s = 0.0
+        self._announced_since_s: float | None = None
+        self._complained_s = 0.0
 
     @property
     def is_open(self) -> bool:
@@ -54,7 +55,7 @@ class CloudStream:
         self._pipeline = Pipeline(
             self._responder, self._counters, lambda error: self._boundary.sentence("pipeline", error)
         )
-        self._open_since_s, self._complained_s = time.monotonic(), -SILENCE_PERIOD_S
+        self._announced_since_s, self._complained_s = None, -SILENCE_PERIOD_S
         self._intake = Intake(
             self._node,
             self._counters,
@@ -105,9 +106,13 @@ class CloudStream:
 
     def _complain_of_silence(self, intake: Intake, timeout_s: float) -> None:
         now = time.monotonic()
-        reason = silence(
-            now, self._open_since_s, intake.last_cloud_s, intake.publishers(), timeout_s, intake.topic
-        )
+        publishers = intake.publishers()
+        if publishers == 0:
+            self._announced_since_s = None
+        elif self._announced_since_s is None:
+            self._announced_since_s = now
+        since_s = now if self._announced_since_s is None else self._announced_since_s
+        reason = silence(now, since_s, intake.last_cloud_s, publishers, timeout_s, intake.topic)
         if reason is not None and now - self._complained_s >= SILENCE_PERIOD_S:
             self._complained_s = now
             self._responder.note(INVALID, reason)

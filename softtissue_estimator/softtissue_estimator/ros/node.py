@@ -61,12 +61,12 @@ def main() -> None:
         leave(_complain(refusal))  # SROS2 without keys, say
     node.get_logger().info(profile)
 
-    def start() -> None:
-        failure = node.start() if node.autostart else None
+    async def start() -> None:
+        failure = await node.start()
         if failure is not None:
             stop.stop(BAD_INPUT if isinstance(failure, SoftTissueError) else CRASH)
 
-    spinner = Spinner(node, crash, start, node.boundary)
+    spinner = Spinner(node, crash, node.boundary, start if node.autostart else None)
     stop.event.wait()
     end_s = time.monotonic() + PATIENCE_S
     spinner.stop(PATIENCE_S)

@@ -11,6 +11,7 @@ from rclpy.parameter import Parameter
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.estimators.estimator import check_estimator
 from softtissue_estimator.ros.command_line import check_parameters
 
 # Read anew for every cloud, so they may change while the node works. Everything else goes into what is loaded.
@@ -111,6 +112,8 @@ def changed_config(config: EstimatorConfig, changes: list[Parameter], configured
                 f"parameter {name}: can only be changed while the node is unconfigured; {hint}clean the node up"
                 " (lifecycle transitions deactivate, cleanup), set it, then configure and activate again"
             )
+    if "estimator" in values:
+        check_estimator(str(values["estimator"]))
     return dataclasses.replace(config, **values)
 
 

@@ -22,8 +22,11 @@ class Outputs:
     explain: Callable[[str, BaseException], str]
     _poses: PoseBuffer = field(default_factory=PoseBuffer, init=False)
 
-    def publish(self, engine: Engine, answer: Answer) -> dict[str, float]:
-        """Send an answer; one thread at a time may do so. Returns the seconds that each part took, in order."""
+    def publish(self, engine: Engine, answer: Answer, lifetime_s: float) -> tuple[dict[str, float], bool]:
+        """Send an answer, whose markers a viewer shows for a time; one thread at a time may do so.
+
+        Returns the seconds that each part took, in order, and whether somebody looks at the markers.
+        """
         began, estimate = time.monotonic(), answer.estimate
         # First, so that whoever draws an answer in the cloud's frame has the pose of its stamp already.
         motion, covariance = fitted_pose(answer.pose, estimate.diagnosis.registration)
@@ -35,10 +38,17 @@ class Outputs:
             engine.points.serialised(answer.positions, estimate.displacement, estimate.sigma, answer.stamp_ns)
         )
         published = time.monotonic()
-        if self.markers.get_subscription_count() > 0:
-            self.markers.publish(engine.markers.serialised(answer.positions, answer.stamp_ns))
-        return {
+        shown = self.show(engine, answer, lifetime_s)
+        stages = {
             "publish registration": posed - began,
             "publish points": published - posed,
             "publish markers": time.monotonic() - published,
         }
+        return stages, shown
+
+    def show(self, engine: Engine, answer: Answer, lifetime_s: float) -> bool:
+        """Send the markers of an answer if somebody looks; return whether somebody does."""
+        if self.markers.get_subscription_count() == 0:
+            return False
+        self.markers.publish(engine.markers.serialised(answer.positions, answer.stamp_ns, lifetime_s))
+        return True

@@ -1,6 +1,8 @@
 """The rigid pose of the organ: the newest that was told, or tf2 where it is installed."""
 
+import math
 import threading
+import time
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -83,6 +85,12 @@ class Registration:
         self._lock = threading.Lock()
         self._fallback = fallback
         self._newest: OrganPose | None = None
+        self._arrived_s = math.nan
+
+    @property
+    def age_s(self) -> float:
+        """Time since the newest registration arrived, s; NaN where none did."""
+        return time.monotonic() - self._arrived_s
 
     def put(self, message: TransformStamped) -> None:
         """Take a registration, which replaces the one before.
@@ -114,6 +122,7 @@ class Registration:
                 f"registration: expected no motion of frame {pose.organ_frame!r} in itself, got another"
             )
         with self._lock:
+            self._arrived_s = time.monotonic()
             # One that only repeats the one before stays the same object, from which others tell that it does.
             if self._newest is None or not pose.repeats(self._newest):
                 self._newest = pose
@@ -186,9 +195,9 @@ class TfSource:
 
     def lookup(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> TransformStamped | None:
         """Return the pose at the cloud's stamp, else the newest (a registration is often static), else None."""
-        for time in (Time(nanoseconds=stamp_ns), Time()):
+        for when in (Time(nanoseconds=stamp_ns), Time()):
             try:
-                return self._buffer.lookup_transform(cloud_frame, organ_frame, time)
+                return self._buffer.lookup_transform(cloud_frame, organ_frame, when)
             except self._errors:
                 continue
         return None
