@@ -25,9 +25,11 @@ from softtissue_estimator.ros.boundary import Boundary
 from softtissue_estimator.ros.cloud_stream import CloudStream
 from softtissue_estimator.ros.engine import load_engine, organ_roots
 from softtissue_estimator.ros.inputs.counters import FrameCounters
-from softtissue_estimator.ros.inputs.registration import Registration, tf_source
+from softtissue_estimator.ros.inputs.registration import Registration
+from softtissue_estimator.ros.inputs.transforms import tf_source
 from softtissue_estimator.ros.managed import CONFIGURING, ManagedNode
 from softtissue_estimator.ros.organ_loading import OrganLoading
+from softtissue_estimator.ros.outputs.broadcast import RegistrationBroadcast
 from softtissue_estimator.ros.outputs.status import Condition, diagnostics_message
 from softtissue_estimator.ros.publishing import Outputs
 from softtissue_estimator.ros.responder import Responder
@@ -71,7 +73,10 @@ class EstimatorNode(ManagedNode):
             self.boundary.guarded("parameters", self._on_parameters, lambda said, _: parameters.refused(said))
         )
         self._counters = FrameCounters()
-        self._registration = Registration(tf_source(self))
+        self._registration = Registration(
+            tf_source(self) if self._config.use_tf else None, lambda: self._config.registration_max_age_s
+        )
+        self._broadcast = RegistrationBroadcast(self)
         outputs = Outputs(
             self.create_lifecycle_publisher(PointCloud2, "~/deformed_points", OUTPUT_QOS),
             self.create_lifecycle_publisher(MarkerArray, "~/markers", MARKERS_QOS),
@@ -79,10 +84,13 @@ class EstimatorNode(ManagedNode):
             self.create_lifecycle_publisher(EstimatorStatus, "~/status", STATUS_QOS),
             self.boundary.warn,
             self.boundary.sentence,
+            self._broadcast,
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
         self._responder = Responder(outputs, self._counters, self._registration, lambda: self._config)
-        self._stream = CloudStream(self, self._responder, self._counters, self._registration, self.boundary)
+        self._stream = CloudStream(
+            self, self._responder, self._counters, self._registration, self.boundary, lambda: self._config
+        )
         self._organ_loading = OrganLoading(self._responder, lambda: self._config, self.boundary)
         self._warps = ServiceCalls("warp points", MOST_WARPS)
         self._reset_s = -math.inf
@@ -112,6 +120,7 @@ class EstimatorNode(ManagedNode):
             # After `~/load_organ` they stay: organs beside the one that was configured can still be loaded.
             self._organ_loading.roots = organ_roots(config)
         self._config = config
+        self._broadcast.use(config.broadcast_registration)
         self._responder.use(load_engine(config.organ, config, self.boundary.info, self._organ_loading.roots))
 
     def activate(self) -> None:

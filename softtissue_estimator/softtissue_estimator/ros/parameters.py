@@ -26,11 +26,13 @@ LIVE = frozenset(
         "maximum_sigma_m",
         "frame_budget_s",
         "no_data_timeout_s",
+        "tf_timeout_s",
+        "registration_max_age_s",
     }
 )
 
 # Given at the start by whoever starts the node, and by nobody on the ROS graph.
-FIXED = frozenset({"organ_root"})
+FIXED = frozenset({"organ_root", "use_tf"})
 
 # A node answers a stream, a library one observation at a time.
 NODE_DEFAULTS = {"tracking": True}

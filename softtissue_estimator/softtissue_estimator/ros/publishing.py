@@ -7,6 +7,7 @@ from typing import Any
 
 from softtissue_estimator.ros.engine import Engine
 from softtissue_estimator.ros.frames import Answer
+from softtissue_estimator.ros.outputs.broadcast import RegistrationBroadcast
 from softtissue_estimator.ros.outputs.pose_buffer import PoseBuffer, fitted_pose
 
 
@@ -20,6 +21,7 @@ class Outputs:
     status: Any
     warn: Callable[[str], None]
     explain: Callable[[str, BaseException], str]
+    transforms: RegistrationBroadcast | None = None
     _poses: PoseBuffer = field(default_factory=PoseBuffer, init=False)
 
     def publish(self, engine: Engine, answer: Answer, lifetime_s: float) -> tuple[dict[str, float], bool]:
@@ -33,6 +35,8 @@ class Outputs:
         self.registration.publish(
             self._poses.serialised(motion, covariance, answer.pose.cloud_frame, answer.stamp_ns)
         )
+        if self.transforms is not None:
+            self.transforms.send(answer.pose, motion, answer.stamp_ns)
         posed = time.monotonic()
         self.points.publish(
             engine.points.serialised(answer.positions, estimate.displacement, estimate.sigma, answer.stamp_ns)
