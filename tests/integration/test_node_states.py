@@ -18,7 +18,7 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
-from softtissue_msgs.msg import EstimatorStatus
+from softtissue_msgs.msg import EstimatorStatus, Structures
 from softtissue_msgs.srv import LoadOrgan
 from visualization_msgs.msg import MarkerArray
 
@@ -144,13 +144,19 @@ def test_late_comers_have_the_newest_status_and_markers(operator, folder):
     stamp = next(stamps)
     operator.clouds.publish(Scene(folder).cloud(stamp))
     assert operator.diagnosed("ok")[0] == DiagnosticStatus.OK
-    statuses, markers = [], []
+    statuses, markers, operator.described = [], [], []
+    operator.node.create_subscription(
+        Structures, "softtissue_estimator/structures", operator.described.append, KEPT
+    )
     operator.node.create_subscription(EstimatorStatus, "softtissue_estimator/status", statuses.append, KEPT)
     operator.node.create_subscription(MarkerArray, "softtissue_estimator/markers", markers.append, KEPT)
     # The first of the markers is what the beginning of the activity left there: nothing to see.
     operator.wait(
-        lambda: statuses and markers and len(markers[-1].markers) > 1, "what was published before", 5.0
+        lambda: statuses and operator.described and markers and len(markers[-1].markers) > 1,
+        "what was published before",
+        5.0,
     )
+    assert operator.described[-1].names == ["tumour", "vessel"]
     assert nanoseconds(statuses[-1].header.stamp) == stamp
     (shown,) = {nanoseconds(marker.header.stamp) for marker in markers[-1].markers}
     assert shown == stamp
@@ -163,6 +169,7 @@ def test_organ_that_was_loaded_is_the_one_that_is_configured_again(operator, fol
     (other / "organ.yaml").write_text(text.replace("Test organ", "Large organ"))
     response = operator.call(LoadOrgan, "load_organ", LoadOrgan.Request(folder=str(other)))
     assert response.result == LoadOrgan.Response.SUCCESS, response.message
+    operator.wait(lambda: operator.described[-1].organ == "Large organ", "its structures", 5.0)
     assert operator.get("organ").string_value == str(other)
     assert operator.change(Transition.TRANSITION_DEACTIVATE)
     assert operator.diagnosed("inactive")[0] == DiagnosticStatus.WARN

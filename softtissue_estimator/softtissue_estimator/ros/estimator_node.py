@@ -14,7 +14,7 @@ from rclpy.logging import get_logger
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
-from softtissue_msgs.msg import EstimatorStatus
+from softtissue_msgs.msg import EstimatorStatus, Structures
 from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints
 from visualization_msgs.msg import MarkerArray
 
@@ -48,7 +48,7 @@ OUTPUT_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 # Kept for who comes later. Of markers only the newest: they are large.
 KEPT = DurabilityPolicy.TRANSIENT_LOCAL
 STATUS_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=KEPT)
-MARKERS_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=KEPT)
+NEWEST_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=KEPT)
 
 
 class EstimatorNode(ManagedNode):
@@ -79,12 +79,13 @@ class EstimatorNode(ManagedNode):
         self._broadcast = RegistrationBroadcast(self)
         outputs = Outputs(
             self.create_lifecycle_publisher(PointCloud2, "~/deformed_points", OUTPUT_QOS),
-            self.create_lifecycle_publisher(MarkerArray, "~/markers", MARKERS_QOS),
+            self.create_lifecycle_publisher(MarkerArray, "~/markers", NEWEST_QOS),
             self.create_lifecycle_publisher(PoseWithCovarianceStamped, "~/registration", OUTPUT_QOS),
             self.create_lifecycle_publisher(EstimatorStatus, "~/status", STATUS_QOS),
             self.boundary.warn,
             self.boundary.sentence,
             self._broadcast,
+            self.create_lifecycle_publisher(Structures, "~/structures", NEWEST_QOS),
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
         self._responder = Responder(outputs, self._counters, self._registration, lambda: self._config)
@@ -126,6 +127,7 @@ class EstimatorNode(ManagedNode):
     def activate(self) -> None:
         """Begin to answer."""
         self._responder.reset()
+        self._responder.describe()
         self.boundary.info(f"answering clouds on {self._stream.open()}")
 
     def deactivate(self) -> None:

@@ -9,6 +9,7 @@ from softtissue_estimator.ros.engine import Engine
 from softtissue_estimator.ros.frames import Answer
 from softtissue_estimator.ros.outputs.broadcast import RegistrationBroadcast
 from softtissue_estimator.ros.outputs.pose_buffer import PoseBuffer, fitted_pose
+from softtissue_estimator.ros.outputs.structures import structures_message
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,7 @@ class Outputs:
     warn: Callable[[str], None]
     explain: Callable[[str, BaseException], str]
     transforms: RegistrationBroadcast | None = None
+    structures: Any = None
     _poses: PoseBuffer = field(default_factory=PoseBuffer, init=False)
 
     def publish(self, engine: Engine, answer: Answer, lifetime_s: float) -> tuple[dict[str, float], bool]:
@@ -49,6 +51,11 @@ class Outputs:
             "publish markers": time.monotonic() - published,
         }
         return stages, shown
+
+    def describe(self, engine: Engine) -> None:
+        """Send what the rows of the answers of an engine are."""
+        if self.structures is not None:
+            self.structures.publish(structures_message(engine.organ))
 
     def show(self, engine: Engine, answer: Answer, lifetime_s: float) -> bool:
         """Send the markers of an answer if somebody looks; return whether somebody does."""

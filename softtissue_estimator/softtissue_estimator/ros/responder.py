@@ -135,9 +135,16 @@ class Responder:
                 return False
             self._forget()
             self._engine = engine
+            self._outputs.describe(engine)
         # Outside of the lock: its thread may be in the middle of something, and answers need not wait for that.
         before.estimator.close()
         return True
+
+    def describe(self) -> None:
+        """Send what the rows of the answers are."""
+        with self._lock:
+            if self._engine is not None:
+                self._outputs.describe(self._engine)
 
     def reset(self) -> None:
         """Forget the present estimate and all counts; frames in work are not answered."""
