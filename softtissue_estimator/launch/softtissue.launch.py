@@ -3,32 +3,45 @@
 ros2 launch softtissue_estimator softtissue.launch.py organ:=/data/my_liver points:=/tracker/points rviz:=true
 """
 
-import os
+import tempfile
 from pathlib import Path
+from typing import Any
 
-from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
-from launch.conditions import IfCondition
+import yaml
+from ament_index_python.packages import (
+    PackageNotFoundError,
+    get_package_prefix,
+    get_package_share_directory,
+)
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
 
 from launch import LaunchContext, LaunchDescription
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.estimators.estimator import estimator_names
+from softtissue_estimator.organ.organ_file import read_organ_file
+from softtissue_estimator.ros.inputs.transport import use_profile
+from softtissue_estimator.support.resources import bundled_organ
 
 PACKAGE = "softtissue_estimator"
 # Parameters of the node: empty means as in the file of parameters.
 PARAMETERS = {
     "organ": "organ folder",
-    "estimator": "elastic or paper",
+    "estimator": f"{', '.join(estimator_names())} or a registered one",
     "checkpoint": "network weights (safetensors)",
     "device": "auto, cuda or cpu",
     "autostart": "true or false: configure and activate without being asked",
+    "use_sim_time": "true or false: take the time from /clock",
 }
+# Arguments and the topics that they rename.
 TOPICS = {
-    "surface_points": "tracked points of the surface",
-    "correspondences": "where they were on the preoperative surface",
-    "registration": "rigid pose of the organ",
-    "registration_with_covariance": "the same with its covariance",
+    "points": ("surface_points", "tracked points of the surface"),
+    "correspondences": ("correspondences", "where they were on the preoperative surface"),
+    "registration": ("registration", "rigid pose of the organ"),
+    "registration_with_covariance": ("registration_with_covariance", "the same with its covariance"),
 }
+TRUE, FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
 
 def share() -> Path:
@@ -36,52 +49,100 @@ def share() -> Path:
     return Path(get_package_share_directory(PACKAGE))
 
 
-def estimator(context: LaunchContext) -> list[LifecycleNode]:
-    """Describe the node from the arguments as given."""
-    given = {
-        name: LaunchConfiguration(name).perform(context)
-        for name in (*PARAMETERS, *TOPICS, "params", "namespace")
-    }
-    chosen = {name: given[name] for name in PARAMETERS if given[name]}
-    if "autostart" in chosen:
-        chosen["autostart"] = chosen["autostart"].lower() == "true"
-    return [
+def truth(name: str, text: str) -> bool:
+    """Read a yes or no in any spelling.
+
+    Raises
+    ------
+    InvalidInputError
+        If it is neither.
+    """
+    if text.strip().lower() not in TRUE + FALSE:
+        raise InvalidInputError(f"argument {name}: expected true or false, got {text!r}")
+    return text.strip().lower() in TRUE
+
+
+def chosen_parameters(given: dict[str, str]) -> dict[str, Any]:
+    """Return the parameters of the node that were given."""
+    chosen: dict[str, Any] = {name: given[name] for name in PARAMETERS if given[name]}
+    for name in ("autostart", "use_sim_time"):
+        if name in chosen:
+            chosen[name] = truth(name, chosen[name])
+    return chosen
+
+
+def rviz_configuration(given: dict[str, str]) -> Path:
+    """Write RViz's configuration for the node's name and namespace, the topic of points and the organ's frame."""
+    displays = yaml.safe_load((share() / "rviz" / "softtissue.rviz").read_text(encoding="utf-8"))
+    manager = displays["Visualization Manager"]
+    organ = Path(given["organ"]) if given["organ"] else bundled_organ()
+    manager["Global Options"]["Fixed Frame"] = read_organ_file(organ).frame
+    namespace = f"/{given['namespace'].strip('/')}".rstrip("/")
+    points = given["points"] if given["points"].startswith("/") else f"{namespace}/{given['points']}"
+    for display in manager["Displays"]:
+        topic = display.get("Topic", {})
+        if topic.get("Value") == "/surface_points":
+            topic["Value"] = points
+        elif "Value" in topic:
+            own = topic["Value"].removeprefix(f"/{PACKAGE}/")
+            topic["Value"] = f"{namespace}/{given['name']}/{own}"
+    path = Path(tempfile.mkdtemp(prefix="softtissue_rviz_")) / "softtissue.rviz"
+    path.write_text(yaml.safe_dump(displays), encoding="utf-8")
+    return path
+
+
+def processes(context: LaunchContext) -> list[Node]:
+    """Describe the processes from the arguments as given; whatever is wrong is said before one of them starts."""
+    names = (*PARAMETERS, *TOPICS, "params", "namespace", "name", "log_level", "respawn", "rviz")
+    given = {name: LaunchConfiguration(name).perform(context) for name in names}
+    if not Path(given["params"]).is_file():
+        raise InvalidInputError(
+            f"argument params: expected a file of parameters, found none at {given['params']}"
+        )
+    described: list[Node] = [
         LifecycleNode(
             package=PACKAGE,
             executable="node",
-            name=PACKAGE,
+            name=given["name"],
             namespace=given["namespace"],
             output="screen",
-            parameters=[given["params"], chosen],
-            remappings=[(topic, given[topic]) for topic in TOPICS],
+            respawn=truth("respawn", given["respawn"]),
+            parameters=[given["params"], chosen_parameters(given)],
+            remappings=[(topic, given[name]) for name, (topic, _) in TOPICS.items()],
+            arguments=["--ros-args", "--log-level", f"{given['name']}:={given['log_level']}"],
         )
     ]
+    if truth("rviz", given["rviz"]):
+        try:
+            get_package_prefix("rviz2")
+        except PackageNotFoundError:
+            raise InvalidInputError("argument rviz: expected rviz2 to be installed, got none") from None
+        configuration = str(rviz_configuration(given))
+        described.append(
+            Node(package="rviz2", executable="rviz2", name="rviz2", arguments=["-d", configuration])
+        )
+    return described
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Describe the processes and their arguments."""
+    """Describe the arguments, and the processes that follow from them."""
+    # Large clouds need a transport profile at both ends; the node sets it for itself, RViz does not.
+    use_profile()
     actions = [DeclareLaunchArgument(n, default_value="", description=text) for n, text in PARAMETERS.items()]
-    actions += [DeclareLaunchArgument(n, default_value=n, description=text) for n, text in TOPICS.items()]
     actions += [
-        DeclareLaunchArgument(
-            "params",
-            default_value=str(share() / "config" / "softtissue_estimator.yaml"),
-            description="YAML file of parameters",
-        ),
-        DeclareLaunchArgument(
-            "namespace", default_value="", description="namespace of the node and its topics"
-        ),
-        DeclareLaunchArgument("rviz", default_value="false", description="start RViz too"),
+        DeclareLaunchArgument(name, default_value=topic, description=text)
+        for name, (topic, text) in TOPICS.items()
     ]
-    if not os.environ.get("FASTDDS_DEFAULT_PROFILES_FILE"):
-        # Large clouds need it at both ends; the node sets it for itself, RViz does not.
-        profile = str(share() / "config" / "fastdds_profile.xml")
-        actions.append(SetEnvironmentVariable("FASTDDS_DEFAULT_PROFILES_FILE", profile))
-    rviz = Node(
-        package="rviz2",
-        executable="rviz2",
-        name="rviz2",
-        arguments=["-d", str(share() / "rviz" / "softtissue.rviz")],
-        condition=IfCondition(LaunchConfiguration("rviz")),
-    )
-    return LaunchDescription([*actions, OpaqueFunction(function=estimator), rviz])
+    others = {
+        "params": (str(share() / "config" / "softtissue_estimator.yaml"), "YAML file of parameters"),
+        "namespace": ("", "namespace of the node and its topics"),
+        "name": (PACKAGE, "name of the node"),
+        "log_level": ("info", "debug, info, warn, error or fatal"),
+        "respawn": ("false", "start the node again when it ends"),
+        "rviz": ("false", "start RViz too"),
+    }
+    actions += [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in others.items()
+    ]
+    return LaunchDescription([*actions, OpaqueFunction(function=processes)])

@@ -105,6 +105,29 @@ class EstimatorConfig:
     no_data_timeout_s: float = _setting(
         2.0, "Without a usable cloud for this long, the status says so.", unit="s", limits=(0.1, 3600.0)
     )
+    use_tf: bool = _setting(
+        True,
+        "Ask tf2, where it is installed, for the organ's pose when no registration has arrived. Can only be given at "
+        "the start.",
+    )
+    tf_timeout_s: float = _setting(
+        0.1,
+        "How long a cloud waits for a transform at its stamp; other clouds go on meanwhile.",
+        unit="s",
+        limits=(0.0, 2.0),
+    )
+    registration_max_age_s: float = _setting(
+        0.5,
+        "A pose that moves may be this much older than its cloud: of tf2 such an answer is DEGRADED, beyond it every "
+        "cloud is refused. Static transforms and registrations that are published once hold on.",
+        unit="s",
+        limits=(0.0, 3600.0),
+    )
+    broadcast_registration: bool = _setting(
+        False,
+        "Send the pose of `~/registration` on /tf, with every answer whose registration came by a topic; needs "
+        "tf2_msgs.",
+    )
     poisson_ratio: float = _setting(
         0.35, "Poisson's ratio that is expected of the organ, used by 'elastic'.", limits=(0.0, 0.49)
     )

@@ -13,9 +13,9 @@ softtissue_msg = pytest.importorskip(
 )
 
 from builtin_interfaces.msg import Time  # noqa: E402
-from softtissue_msgs.msg import Correspondences, EstimatorStatus  # noqa: E402
+from softtissue_msgs.msg import Correspondences, EstimatorStatus, Structures  # noqa: E402
 from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints  # noqa: E402
-from std_msgs.msg import Header  # noqa: E402
+from std_msgs.msg import ColorRGBA, Header  # noqa: E402
 
 HEADER = Header(stamp=Time(sec=1_700_000_123, nanosec=987_654_321), frame_id="organ")
 
@@ -27,6 +27,16 @@ MESSAGES = {
         index=[0, 7, 4_000_000_000],
         reference=[0.125 * i for i in range(9)],
         sigma=[0.5, 0.25, 2.0],
+    ),
+    "Structures": Structures(
+        header=HEADER,
+        organ="Phantom liver",
+        names=["tumour", "vein"],
+        kinds=["lesion", "vessel"],
+        colours=[ColorRGBA(r=0.25, g=0.5, b=0.75, a=1.0), ColorRGBA(r=0.125, g=0.375, b=0.625, a=0.5)],
+        first_vertex=[0, 5, 9],
+        first_face=[0, 2, 3],
+        faces=[0, 1, 2, 2, 3, 4, 5, 7, 8],
     ),
     "EstimatorStatus": EstimatorStatus(
         header=HEADER,

@@ -45,7 +45,8 @@ def test_node_may_do_what_it_does_and_nothing_else(tmp_path, domain):
             "request": names(graph.get_client_names_and_types_by_node(NODE, "/")),
         }
     may = allowed("node")
-    may["subscribe"] -= ONLY_WITH_TF2 - opened["subscribe"]
+    for act in ("subscribe", "publish"):
+        may[act] -= ONLY_WITH_TF2 - opened[act]
     assert may == opened
 
 

@@ -17,7 +17,7 @@ ORGAN = SimpleNamespace(structures=[SimpleNamespace(name="tumour"), SimpleNamesp
 
 def answer(doubts=(), sigma=(0.001, 0.001), **changes):
     found = SimpleNamespace(diagnosis=Diagnosis(doubts=doubts))
-    usual = {"visible_fraction": 1.0, "rejected_fraction": 0.0}
+    usual = {"visible_fraction": 1.0, "rejected_fraction": 0.0, "pose": SimpleNamespace(doubt="")}
     return SimpleNamespace(estimate=found, organ=ORGAN, structure_sigma=np.array(sigma), **usual | changes)
 
 
@@ -60,3 +60,8 @@ def test_reason_that_is_too_long_is_cut():
     said = in_one_sentence(["a\n" + "x" * 900, "b"])
     assert len(said) <= 300 and said.startswith("a x") and said.endswith("; and 1 more")
     assert in_one_sentence([]) == ""
+
+
+def test_pose_of_another_stamp_is_a_reason():
+    doubt = "tf2: expected a transform at the cloud's stamp, got one 0.100 s older than the cloud"
+    assert reasons(answer(pose=SimpleNamespace(doubt=doubt))) == [doubt]

@@ -15,6 +15,7 @@ from softtissue_estimator.estimators.estimator import Estimate, Estimator
 from softtissue_estimator.ros.frames import Frame, FrameAnswerer
 from softtissue_estimator.ros.inputs.pose_covariance import at_centre
 from softtissue_estimator.ros.inputs.registration import Registration
+from softtissue_estimator.ros.inputs.transforms import Lookup
 
 PATIENCE_S = 10.0
 CONFIG = EstimatorConfig()
@@ -144,7 +145,7 @@ def test_registration_that_is_not_used_and_frames_that_move_by_tf_are_not_notice
 
         def lookup(self, cloud_frame, organ_frame, stamp_ns):
             self.shift += 0.001
-            return registration_message(moved(self.shift))
+            return Lookup(registration_message(moved(self.shift)))
 
     stream = Stream(scene)
     stream.show(frame="organ")

@@ -3,6 +3,7 @@
 import ast
 import dataclasses
 import importlib.util
+import os
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,11 @@ import yaml
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
+from integration.harness import write_organ
 from node.stand_ins import Recorder, stand_in
 from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.ros.inputs.transport import OLD_VARIABLE, VARIABLE
 
 PACKAGE = Path(__file__).parents[2] / "softtissue_estimator"
 
@@ -50,12 +54,8 @@ def launch_file(monkeypatch):
             return context[self.args[0]]
 
     stand_in(monkeypatch, "launch", LaunchContext=dict, LaunchDescription=list)
-    actions = {
-        n: type(n, (Recorder,), {})
-        for n in ("DeclareLaunchArgument", "OpaqueFunction", "SetEnvironmentVariable")
-    }
+    actions = {n: type(n, (Recorder,), {}) for n in ("DeclareLaunchArgument", "OpaqueFunction")}
     stand_in(monkeypatch, "launch.actions", **actions)
-    stand_in(monkeypatch, "launch.conditions", IfCondition=Recorder)
     stand_in(monkeypatch, "launch.substitutions", LaunchConfiguration=LaunchConfiguration)
     stand_in(monkeypatch, "launch_ros")
     stand_in(monkeypatch, "launch_ros.actions", LifecycleNode=Recorder, Node=Recorder)
@@ -66,22 +66,82 @@ def launch_file(monkeypatch):
     return module
 
 
-def test_launch_file_passes_on_what_is_given(launch_file):
+def defaults(launch_file):
     described = launch_file.generate_launch_description()
-    declared = {
+    return {
         a.args[0]: a.keywords["default_value"] for a in described if type(a).__name__.startswith("Declare")
     }
-    given = declared | {"organ": "/data/liver", "autostart": "False", "surface_points": "/tracker/points"}
-    (node,) = launch_file.estimator(given)
+
+
+def test_launch_file_passes_on_what_is_given(launch_file):
+    given = {"organ": "/data/liver", "autostart": "False", "points": "/tracker/points", "use_sim_time": "1"}
+    (node,) = launch_file.processes(defaults(launch_file) | given | {"name": "liver", "respawn": "Yes"})
     assert (node.keywords["package"], node.keywords["executable"]) == ("softtissue_estimator", "node")
     file, chosen = node.keywords["parameters"]
     assert Path(file).name == "softtissue_estimator.yaml" and Path(file).is_file()
-    assert chosen == {"organ": "/data/liver", "autostart": False}
+    assert chosen == {"organ": "/data/liver", "autostart": False, "use_sim_time": True}
+    assert (node.keywords["name"], node.keywords["respawn"]) == ("liver", True)
+    assert node.keywords["arguments"] == ["--ros-args", "--log-level", "liver:=info"]
     assert dict(node.keywords["remappings"]) == {
         "surface_points": "/tracker/points",
         "correspondences": "correspondences",
         "registration": "registration",
         "registration_with_covariance": "registration_with_covariance",
     }
-    rviz = Path(described[-1].keywords["arguments"][1])
-    assert rviz.is_file()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (
+            {"params": "/nowhere/p.yaml"},
+            "params: expected a file of parameters, found none at /nowhere/p.yaml",
+        ),
+        ({"autostart": "maybe"}, "autostart: expected true or false, got 'maybe'"),
+        ({"rviz": "true"}, "rviz: expected rviz2 to be installed"),
+    ],
+)
+def test_launch_file_refuses_before_anything_starts(launch_file, given, words):
+    with pytest.raises(InvalidInputError, match=words):
+        launch_file.processes(defaults(launch_file) | given)
+
+
+def test_every_estimator_is_named_in_the_help(launch_file):
+    assert "elastic, hybrid, paper" in launch_file.PARAMETERS["estimator"]
+
+
+def test_rviz_looks_where_the_node_publishes(launch_file, monkeypatch, tmp_path):
+    organ = write_organ(tmp_path / "organ")
+    text = (organ / "organ.yaml").read_text()
+    (organ / "organ.yaml").write_text(text.replace("frame: organ", "frame: liver"))
+    monkeypatch.setattr(launch_file, "get_package_prefix", lambda name: "/opt/ros")
+    monkeypatch.setattr(launch_file.tempfile, "mkdtemp", lambda prefix: str(tmp_path))
+    given = {"rviz": "true", "organ": str(organ), "namespace": "room_1", "name": "liver_node"}
+    _, rviz = launch_file.processes(defaults(launch_file) | given)
+    shown = yaml.safe_load(Path(rviz.keywords["arguments"][1]).read_text())["Visualization Manager"]
+    assert shown["Global Options"]["Fixed Frame"] == "liver"
+    assert {d["Topic"]["Value"] for d in shown["Displays"] if "Topic" in d} == {
+        "/room_1/liver_node/markers",
+        "/room_1/liver_node/deformed_points",
+        "/room_1/liver_node/registration",
+        "/room_1/surface_points",
+    }
+
+
+def test_transport_profile_of_the_user_stays(launch_file, monkeypatch):
+    monkeypatch.setenv(OLD_VARIABLE, "/my/profile.xml")
+    monkeypatch.delenv(VARIABLE, raising=False)
+    launch_file.generate_launch_description()
+    assert VARIABLE not in os.environ
+    assert os.environ[OLD_VARIABLE] == "/my/profile.xml"
+
+
+@pytest.mark.parametrize(("distribution", "variable"), [("kilted", VARIABLE), ("jazzy", OLD_VARIABLE)])
+def test_transport_profile_is_set_as_each_distribution_reads_it(
+    launch_file, monkeypatch, distribution, variable
+):
+    for name in (VARIABLE, OLD_VARIABLE):
+        monkeypatch.setenv(name, "")  # so that what is set here is taken back
+    monkeypatch.setenv("ROS_DISTRO", distribution)
+    launch_file.generate_launch_description()
+    assert [name for name in (VARIABLE, OLD_VARIABLE) if os.environ[name]] == [variable]

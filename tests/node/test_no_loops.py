@@ -89,11 +89,13 @@ def sphere(subdivisions):
 
 
 def messages(organ):
-    points, markers = AnswerBuffer(organ), MarkerBuffer(organ, 1.0)
+    points, markers = AnswerBuffer(organ), MarkerBuffer(organ)
     moved, sigma = organ.query_points + 0.01, np.full(len(organ.query_points), 0.001)
 
     def work():
-        return points.serialised(moved, moved - organ.query_points, sigma, 1), markers.serialised(moved, 1)
+        return points.serialised(moved, moved - organ.query_points, sigma, 1), markers.serialised(
+            moved, 1, 2.0
+        )
 
     work()
     return work

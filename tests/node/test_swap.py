@@ -83,7 +83,7 @@ def scene(tmp_path_factory):
 def engine(scene, name, kind=Recorder):
     organ, estimator = dataclasses.replace(scene.organ), kind(name)
     estimator.load_organ(organ)
-    return Engine(organ, estimator, AnswerBuffer(organ), MarkerBuffer(organ, 2.0))
+    return Engine(organ, estimator, AnswerBuffer(organ), MarkerBuffer(organ))
 
 
 @pytest.fixture

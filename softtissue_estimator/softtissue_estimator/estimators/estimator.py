@@ -172,6 +172,20 @@ def estimator_names() -> tuple[str, ...]:
     return tuple(sorted(_factories))
 
 
+def check_estimator(name: str) -> None:
+    """Look whether an estimator has that name.
+
+    Raises
+    ------
+    InvalidInputError
+        If none has.
+    """
+    if name not in _factories:
+        raise InvalidInputError(
+            f"parameter estimator: expected one of {', '.join(estimator_names())}, got {name!r}"
+        )
+
+
 def create_estimator(config: EstimatorConfig) -> Estimator:
     """Make the estimator that `config.estimator` names.
 
@@ -182,9 +196,5 @@ def create_estimator(config: EstimatorConfig) -> Estimator:
     SoftTissueError
         If the estimator cannot start, for example because its weights are damaged.
     """
-    factory = _factories.get(config.estimator)
-    if factory is None:
-        raise InvalidInputError(
-            f"parameter estimator: expected one of {', '.join(estimator_names())}, got {config.estimator!r}"
-        )
-    return factory(config)
+    check_estimator(config.estimator)
+    return _factories[config.estimator](config)

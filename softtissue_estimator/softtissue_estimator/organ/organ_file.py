@@ -116,7 +116,7 @@ def read_organ_file(folder: Path, roots: tuple[Path, ...] | None = None) -> Orga
     return OrganFile(
         path=path,
         name=top.text("name", default=real(folder).name),
-        frame=top.text("frame", default="organ"),
+        frame=_frame(path, top.text("frame", default="organ")),
         unit=unit,
         surface=top.file("surface"),
         structures=tuple(_structure(source, i, item) for i, item in enumerate(top.items("structures"))),
@@ -124,6 +124,16 @@ def read_organ_file(folder: Path, roots: tuple[Path, ...] | None = None) -> Orga
         system=system,
         tetrahedra=None if top.value("tetrahedra") is None else top.file("tetrahedra"),
     )
+
+
+def _frame(path: Path, frame: str) -> str:
+    if frame.startswith("/"):
+        # tf2 has no such frames: nothing would ever be found in one.
+        raise OrganError(
+            f"{path}, frame: expected a name without a leading slash, got {shown(frame)};"
+            f" did you mean {shown(frame.lstrip('/'))}?"
+        )
+    return frame
 
 
 @dataclass(frozen=True)

@@ -67,9 +67,9 @@ class Boundary:
         where : str
             What was being done.
         """
+        said = self.words(error, where)
         if isinstance(error, SoftTissueError):
-            return one_sentence(str(error))
-        said = one_sentence(f"{where}: expected no error of the program itself, got {type(error).__name__}")
+            return said
         frames = traceback.extract_tb(error.__traceback__)
         place = (type(error).__name__, f"{frames[-1].filename}:{frames[-1].lineno}" if frames else where)
         with self._lock:
@@ -85,6 +85,13 @@ class Boundary:
         if is_fatal(error):
             self._on_fatal(error)
         return said
+
+    @staticmethod
+    def words(error: BaseException, where: str = "transition") -> str:
+        """Return the sentence about an error; nothing is counted or logged."""
+        if isinstance(error, SoftTissueError):
+            return one_sentence(str(error))
+        return one_sentence(f"{where}: expected no error of the program itself, got {type(error).__name__}")
 
     def guarded(
         self,

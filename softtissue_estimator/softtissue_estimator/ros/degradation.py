@@ -11,6 +11,8 @@ from softtissue_estimator.support.sentences import LONGEST, one_sentence
 def degradation_reasons(answer: Answer, total_s: float, config: EstimatorConfig) -> list[str]:
     """List why an answer is degraded that came `total_s` seconds after its cloud, what weighs most first."""
     reasons = list(answer.estimate.diagnosis.doubts)
+    if answer.pose.doubt:
+        reasons.append(answer.pose.doubt)
     uncertain = uncertain_structures(answer.organ, answer.structure_sigma, config.maximum_sigma_m)
     if uncertain is not None:
         reasons.append(uncertain)

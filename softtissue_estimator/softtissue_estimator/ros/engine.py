@@ -55,7 +55,11 @@ def organ_roots(config: EstimatorConfig) -> tuple[Path, ...]:
 
 
 def load_engine(
-    folder: str, config: EstimatorConfig, say: Callable[[str], None], elsewhere: bool = False
+    folder: str,
+    config: EstimatorConfig,
+    say: Callable[[str], None],
+    roots: tuple[Path, ...],
+    elsewhere: bool = False,
 ) -> Engine:
     """Load an organ and prepare an estimator for it: seconds the first time.
 
@@ -66,6 +70,8 @@ def load_engine(
     config : EstimatorConfig
     say : callable
         Told in a sentence what is going on.
+    roots : tuple of Path
+        Folders outside of which nothing is read (`organ_roots`).
     elsewhere : bool
         Whether another process does most of it, so that an engine at work goes on answering.
 
@@ -77,13 +83,13 @@ def load_engine(
         If the other process raised what nobody expected.
     """
     path = Path(folder) if folder else bundled_organ()
-    request = Request(path, organ_roots(config), config)
+    request = Request(path, roots, config)
     read_organ_file(path, request.roots)  # what is wrong with the folder itself is said at once
     say(f"loading organ {path}")
     began = time.monotonic()
     try:
         organ, estimator = (_ready_elsewhere if elsewhere else _ready_here)(request, say)
-        points, markers = AnswerBuffer(organ), MarkerBuffer(organ, config.no_data_timeout_s)
+        points, markers = AnswerBuffer(organ), MarkerBuffer(organ)
     except MemoryError as error:
         raise too_large(path) from error
     say(

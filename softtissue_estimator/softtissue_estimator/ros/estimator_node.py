@@ -1,5 +1,6 @@
 """The managed node `softtissue_estimator`: parameters, services, life cycle. The work is done elsewhere."""
 
+import dataclasses
 import math
 import time
 from collections.abc import Callable
@@ -9,26 +10,27 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.logging import get_logger
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
-from softtissue_msgs.msg import EstimatorStatus
+from softtissue_msgs.msg import EstimatorStatus, Structures
 from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints
 from visualization_msgs.msg import MarkerArray
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.errors import InvalidInputError, SoftTissueError
+from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros import parameters
 from softtissue_estimator.ros.boundary import Boundary
-from softtissue_estimator.ros.bounded import BoundedNode
 from softtissue_estimator.ros.cloud_stream import CloudStream
-from softtissue_estimator.ros.engine import load_engine
+from softtissue_estimator.ros.engine import load_engine, organ_roots
 from softtissue_estimator.ros.inputs.counters import FrameCounters
-from softtissue_estimator.ros.inputs.registration import Registration, tf_source
+from softtissue_estimator.ros.inputs.registration import Registration
+from softtissue_estimator.ros.inputs.transforms import tf_source
+from softtissue_estimator.ros.managed import CONFIGURING, ManagedNode
 from softtissue_estimator.ros.organ_loading import OrganLoading
-from softtissue_estimator.ros.outputs.status import diagnostics_message
+from softtissue_estimator.ros.outputs.broadcast import RegistrationBroadcast
+from softtissue_estimator.ros.outputs.status import Condition, diagnostics_message
 from softtissue_estimator.ros.publishing import Outputs
 from softtissue_estimator.ros.responder import Responder
 from softtissue_estimator.ros.service_calls import ServiceCalls
@@ -43,15 +45,13 @@ from softtissue_estimator.ros.services import (
 NAME = "softtissue_estimator"
 STOP_TIMEOUT_S = 2.0
 OUTPUT_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-
-SUCCESS, FAILURE, ERROR = (
-    TransitionCallbackReturn.SUCCESS,
-    TransitionCallbackReturn.FAILURE,
-    TransitionCallbackReturn.ERROR,
-)
+# Kept for who comes later. Of markers only the newest: they are large.
+KEPT = DurabilityPolicy.TRANSIENT_LOCAL
+STATUS_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=KEPT)
+NEWEST_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=KEPT)
 
 
-class EstimatorNode(BoundedNode):
+class EstimatorNode(ManagedNode):
     """Publishes where the inside of an organ is, many times a second.
 
     Parameters
@@ -67,31 +67,37 @@ class EstimatorNode(BoundedNode):
 
     def __init__(self, on_crash: Callable[[BaseException], None]) -> None:
         super().__init__(NAME, Boundary(get_logger(NAME), on_crash))
-        self._failure: Exception | None = None
         parameters.declare_parameters(self)
         self._config: EstimatorConfig = parameters.read_config(self)
         self.add_on_set_parameters_callback(
             self.boundary.guarded("parameters", self._on_parameters, lambda said, _: parameters.refused(said))
         )
         self._counters = FrameCounters()
-        self._registration = Registration(tf_source(self))
+        self._registration = Registration(
+            tf_source(self) if self._config.use_tf else None, lambda: self._config.registration_max_age_s
+        )
+        self._broadcast = RegistrationBroadcast(self)
         outputs = Outputs(
             self.create_lifecycle_publisher(PointCloud2, "~/deformed_points", OUTPUT_QOS),
-            self.create_lifecycle_publisher(MarkerArray, "~/markers", OUTPUT_QOS),
+            self.create_lifecycle_publisher(MarkerArray, "~/markers", NEWEST_QOS),
             self.create_lifecycle_publisher(PoseWithCovarianceStamped, "~/registration", OUTPUT_QOS),
-            self.create_lifecycle_publisher(EstimatorStatus, "~/status", OUTPUT_QOS),
+            self.create_lifecycle_publisher(EstimatorStatus, "~/status", STATUS_QOS),
             self.boundary.warn,
             self.boundary.sentence,
+            self._broadcast,
+            self.create_lifecycle_publisher(Structures, "~/structures", NEWEST_QOS),
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
         self._responder = Responder(outputs, self._counters, self._registration, lambda: self._config)
-        self._stream = CloudStream(self, self._responder, self._counters, self._registration, self.boundary)
+        self._stream = CloudStream(
+            self, self._responder, self._counters, self._registration, self.boundary, lambda: self._config
+        )
         self._organ_loading = OrganLoading(self._responder, lambda: self._config, self.boundary)
         self._warps = ServiceCalls("warp points", MOST_WARPS)
         self._reset_s = -math.inf
         self._create_services()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(0.1, self._stream.expire, clock=steady)
+        self.create_timer(0.1, self._on_tenth, clock=steady)
         self.create_timer(1.0, self._on_second, clock=steady)
 
     def _create_services(self) -> None:
@@ -104,99 +110,34 @@ class EstimatorNode(BoundedNode):
     # Life cycle
 
     @property
-    def state_label(self) -> str:
-        """Name of the present state of the life cycle."""
-        return str(self._state_machine.current_state[1])
-
-    def start(self) -> Exception | None:
-        """Configure and activate; return what prevents it, which is in the log already."""
-        if self.trigger_configure() == SUCCESS and self.trigger_activate() == SUCCESS:
-            return None
-        return self._failure or RuntimeError("the transition failed")
-
-    @property
     def autostart(self) -> bool:
         """Whether the node starts without being asked."""
         return self._config.autostart
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def configure(self) -> None:
         """Load organ and estimator."""
-        return self._transition(self._configure, super().on_configure, state, self._clean_up)
+        config = parameters.read_config(self)
+        if config.organ != self._organ_loading.organ:
+            # After `~/load_organ` they stay: organs beside the one that was configured can still be loaded.
+            self._organ_loading.roots = organ_roots(config)
+        self._config = config
+        self._broadcast.use(config.broadcast_registration)
+        self._responder.use(load_engine(config.organ, config, self.boundary.info, self._organ_loading.roots))
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def activate(self) -> None:
         """Begin to answer."""
-
-        def undo() -> None:
-            self._deactivate()
-            super(EstimatorNode, self).on_deactivate(state)
-
-        return self._transition(self._activate, super().on_activate, state, undo)
-
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop answering; organ and estimator stay loaded."""
-        return self._transition(self._deactivate, super().on_deactivate, state)
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let go of organ and estimator."""
-        return self._transition(self._clean_up, super().on_cleanup, state)
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let go of everything."""
-        return self._transition(self._clean_up, super().on_shutdown, state)
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Return to unconfigured."""
-        return self._transition(self._clean_up, super().on_error, state)
-
-    def _transition(
-        self,
-        ours: Callable[[], None],
-        entities: Callable[[LifecycleState], TransitionCallbackReturn],
-        state: LifecycleState,
-        undo: Callable[[], None] | None = None,
-    ) -> TransitionCallbackReturn:
-        """Run a transition; rclpy hides what its callbacks raise, so it is reported here.
-
-        One that can be undone is a failure, after which the node is in the state it was in.
-        """
-        self._failure = None
-        try:
-            # The publishers begin before the work and end after it.
-            if undo is None:
-                ours()
-                return entities(state)
-            result = entities(state)
-            ours()
-            return result
-        except Exception as error:
-            self._failure = error
-            said = self.boundary.sentence("transition", error)
-            if isinstance(error, SoftTissueError):
-                self.boundary.error(said)
-            return ERROR if undo is None else self._undone(undo)
-
-    def _undone(self, undo: Callable[[], None]) -> TransitionCallbackReturn:
-        try:
-            undo()
-        except Exception as error:
-            self.boundary.sentence("transition", error)
-            return ERROR
-        return FAILURE
-
-    def _configure(self) -> None:
-        self._config = parameters.read_config(self)
-        self._responder.use(load_engine(self._config.organ, self._config, self.boundary.info))
-
-    def _activate(self) -> None:
         self._responder.reset()
+        self._responder.describe()
         self.boundary.info(f"answering clouds on {self._stream.open()}")
 
-    def _deactivate(self) -> None:
+    def deactivate(self) -> None:
+        """Stop answering; organ and estimator stay loaded."""
         self._stream.close(STOP_TIMEOUT_S)
         self._responder.reset()
 
-    def _clean_up(self) -> None:
-        self._deactivate()
+    def clean_up(self) -> None:
+        """Let go of organ and estimator."""
+        self.deactivate()
         self._responder.use(None)
 
     def close(self, timeout_s: float) -> bool:
@@ -205,18 +146,28 @@ class EstimatorNode(BoundedNode):
 
     # Timers
 
+    def _on_tenth(self) -> None:
+        self._stream.expire()
+        self._responder.show_late_comers()
+
     def _on_second(self) -> None:
         self._stream.watch(self._config.no_data_timeout_s)
         now = self.get_clock().now().to_msg()
+        failure = self.failure
+        condition = Condition(
+            self.state_label,
+            "" if failure is None else self.boundary.words(failure),
+            self.boundary.faults,
+            self._registration.age_s,
+        )
         self._diagnostics.publish(
             diagnostics_message(
                 self.get_fully_qualified_name(),
                 now,
-                self.state_label,
+                condition,
                 self._responder.report,
                 self._responder.setup,
                 self._counters.counts,
-                self.boundary.faults,
             )
         )
 
@@ -225,7 +176,12 @@ class EstimatorNode(BoundedNode):
     async def _on_load_organ(
         self, request: LoadOrgan.Request, response: LoadOrgan.Response
     ) -> LoadOrgan.Response:
-        return await self._organ_loading.answer(request, response, self.executor)
+        response = await self._organ_loading.answer(request, response, self.executor)
+        if response.result == LoadOrgan.Response.SUCCESS:
+            # So that whoever asks the parameter, or cleans up and configures again, has the organ at work.
+            self._config = dataclasses.replace(self._config, organ=request.folder)
+            self.set_parameters([Parameter("organ", value=request.folder)])
+        return response
 
     async def _on_warp_points(
         self, request: WarpPoints.Request, response: WarpPoints.Response
@@ -257,7 +213,8 @@ class EstimatorNode(BoundedNode):
 
     def _on_parameters(self, changes: list[Parameter]) -> Any:
         try:
-            self._config = parameters.changed_config(self._config, changes, self._responder.configured)
+            configured = self._responder.configured or self.state_label == CONFIGURING
+            self._config = parameters.changed_config(self._config, changes, configured)
         except InvalidInputError as error:
             return parameters.refused(self.boundary.sentence("parameters", error))
         return parameters.accepted()

@@ -32,11 +32,16 @@ def main() -> None:
     from rclpy.signals import SignalHandlerOptions
 
     from softtissue_estimator.errors import SoftTissueError
+    from softtissue_estimator.ros.command_line import parse_arguments
     from softtissue_estimator.ros.estimator_node import EstimatorNode
     from softtissue_estimator.ros.inputs.transport import use_profile
 
-    profile = use_profile()
     stop.begin()
+    try:
+        parse_arguments(sys.argv[1:])
+    except SoftTissueError as error:
+        leave(_complain(str(error)))
+    profile = use_profile()
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:
@@ -56,12 +61,12 @@ def main() -> None:
         leave(_complain(refusal))  # SROS2 without keys, say
     node.get_logger().info(profile)
 
-    def start() -> None:
-        failure = node.start() if node.autostart else None
+    async def start() -> None:
+        failure = await node.start()
         if failure is not None:
             stop.stop(BAD_INPUT if isinstance(failure, SoftTissueError) else CRASH)
 
-    spinner = Spinner(node, crash, start, node.boundary)
+    spinner = Spinner(node, crash, node.boundary, start if node.autostart else None)
     stop.event.wait()
     end_s = time.monotonic() + PATIENCE_S
     spinner.stop(PATIENCE_S)

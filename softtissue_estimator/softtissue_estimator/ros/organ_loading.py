@@ -2,6 +2,7 @@
 
 import weakref
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from softtissue_msgs.srv import LoadOrgan
@@ -39,6 +40,9 @@ class OrganLoading:
     ) -> None:
         self._responder, self._config, self._boundary = responder, config, boundary
         self._calls = ServiceCalls("load organ", most=1)
+        # Folder of the organ that was loaded last, if one was, and the folders outside of which none is read.
+        self.organ: str | None = None
+        self.roots: tuple[Path, ...] = ()
 
     async def answer(
         self, request: LoadOrgan.Request, response: LoadOrgan.Response, executor: Any
@@ -62,7 +66,7 @@ class OrganLoading:
             _not_loaded(response, LoadOrgan.Response.NOT_CONFIGURED, _NOT_CONFIGURED)
             return None
         try:
-            engine = load_engine(folder, self._config(), self._boundary.info, elsewhere=True)
+            engine = load_engine(folder, self._config(), self._boundary.info, self.roots, elsewhere=True)
         except SoftTissueError as error:
             said = self._boundary.sentence("load_organ", error)
             self._boundary.error(said)
@@ -70,6 +74,7 @@ class OrganLoading:
             return None
         self._responder.rehearse(engine)
         if self._responder.exchange(before, engine):
+            self.organ = folder
             _loaded(response, engine.organ)
             return weakref.ref(before.organ)
         engine.estimator.close()

@@ -1,6 +1,7 @@
 """The node's parameters, derived from `EstimatorConfig`: one place for names, types, ranges and descriptions."""
 
 import dataclasses
+import sys
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -10,6 +11,8 @@ from rclpy.parameter import Parameter
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.estimators.estimator import check_estimator
+from softtissue_estimator.ros.command_line import check_parameters
 
 # Read anew for every cloud, so they may change while the node works. Everything else goes into what is loaded.
 LIVE = frozenset(
@@ -23,11 +26,13 @@ LIVE = frozenset(
         "maximum_sigma_m",
         "frame_budget_s",
         "no_data_timeout_s",
+        "tf_timeout_s",
+        "registration_max_age_s",
     }
 )
 
 # Given at the start by whoever starts the node, and by nobody on the ROS graph.
-FIXED = frozenset({"organ_root"})
+FIXED = frozenset({"organ_root", "use_tf"})
 
 # A node answers a stream, a library one observation at a time.
 NODE_DEFAULTS = {"tracking": True}
@@ -59,8 +64,10 @@ def declare_parameters(node: Node) -> None:
     Raises
     ------
     InvalidInputError
-        If a value given at the start is of the wrong type or outside its range.
+        If a value given at the start is of the wrong type or outside its range, or of a parameter that is misspelt.
     """
+    for sentence in check_parameters(node._parameter_overrides, sys.argv):
+        node.get_logger().warning(sentence)
     for field in dataclasses.fields(EstimatorConfig):
         try:
             default = NODE_DEFAULTS.get(field.name, field.default)
@@ -107,6 +114,8 @@ def changed_config(config: EstimatorConfig, changes: list[Parameter], configured
                 f"parameter {name}: can only be changed while the node is unconfigured; {hint}clean the node up"
                 " (lifecycle transitions deactivate, cleanup), set it, then configure and activate again"
             )
+    if "estimator" in values:
+        check_estimator(str(values["estimator"]))
     return dataclasses.replace(config, **values)
 
 

@@ -73,6 +73,7 @@ class Responder:
         self._answer: Answer | None = None
         self._newest: Frame | None = None
         self._report = Report(OK)
+        self._shown = True  # whether the markers of the present estimate were sent
         self._epoch = 0
 
     @property
@@ -134,9 +135,16 @@ class Responder:
                 return False
             self._forget()
             self._engine = engine
+            self._outputs.describe(engine)
         # Outside of the lock: its thread may be in the middle of something, and answers need not wait for that.
         before.estimator.close()
         return True
+
+    def describe(self) -> None:
+        """Send what the rows of the answers are."""
+        with self._lock:
+            if self._engine is not None:
+                self._outputs.describe(self._engine)
 
     def reset(self) -> None:
         """Forget the present estimate and all counts; frames in work are not answered."""
@@ -182,6 +190,14 @@ class Responder:
             self._counters.add(answered=1)
             self._say(report)
 
+    def show_late_comers(self) -> None:
+        """Send the markers of the present estimate, with its stamp, to who begins to look after it was made."""
+        with self._lock:
+            if self._answer is None or self._engine is None or self._shown:
+                return
+            lifetime_s = self._config().no_data_timeout_s
+            self._shown = self._outputs.show(self._engine, self._answer, lifetime_s)
+
     def supersede(self, outcome: Outcome) -> None:
         """Count an outcome that a newer one overtook before it was delivered."""
         with self._lock:
@@ -200,7 +216,8 @@ class Responder:
     def _publish(self, outcome: Outcome, answer: Answer) -> Report:
         began = time.monotonic()
         self._answer = answer
-        parts = self._outputs.publish(outcome.engine, answer)
+        lifetime_s = outcome.config.no_data_timeout_s
+        parts, self._shown = self._outputs.publish(outcome.engine, answer, lifetime_s)
         total = time.monotonic() - outcome.frame.received_s
         reasons = degradation_reasons(answer, total, outcome.config)
         return Report(

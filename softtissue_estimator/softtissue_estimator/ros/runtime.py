@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -129,30 +129,32 @@ class Spinner:
     Parameters
     ----------
     node : Node
-    before : callable, optional
-        Runs first in that thread.
     on_error : callable
         Takes what a callback raised; the thread ends with it.
     boundary : Boundary, optional
         Inside it what a callback raises ends nothing.
+    first : coroutine function, optional
+        Awaited as soon as the thread spins.
     """
 
     def __init__(
         self,
         node: Any,
         on_error: Callable[[BaseException], None],
-        before: Callable[[], None] | None = None,
         boundary: Any = None,
+        first: Callable[[], Coroutine[Any, Any, None]] | None = None,
     ) -> None:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.task import Future
 
         from softtissue_estimator.ros.bounded import BoundedExecutor
 
-        self._node, self._before, self._on_error = node, before, on_error
+        self._node, self._on_error = node, on_error
         self._boundary = boundary
         self._executor = SingleThreadedExecutor() if boundary is None else BoundedExecutor(boundary)
         self._executor.add_node(node)
+        if first is not None:
+            self._executor.create_task(first)
         self._done: Any = Future()
         self._thread = threading.Thread(target=self._run, name="spin", daemon=True)
         self._thread.start()
@@ -169,8 +171,6 @@ class Spinner:
 
     def _run(self) -> None:
         try:
-            if self._before is not None:
-                self._before()
             self._spin()
         except Exception as error:  # reported by the owner, which ends the program
             self._on_error(error)

@@ -17,6 +17,11 @@ MISTAKES = [
         OrganError,
         r"got 1.1\de\+09 litres .* with unit m; .*, in mm it would be 1.1\d litres: state mm",
     ),
+    (
+        {"frame": "/organ"},
+        OrganError,
+        "frame: expected a name without a leading slash, .*did you mean 'organ'",
+    ),
     ({"surfaces": "x.ply"}, OrganError, "surfaces: unknown key, expected one of attached"),
     ({"surface": None}, OrganError, "surface: expected a file name, got nothing"),
     ({"surface": "none.ply"}, OrganError, "surface: expected a file, found none at"),

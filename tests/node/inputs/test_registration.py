@@ -8,10 +8,11 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from integration.harness import CAMERA_FROM_ORGAN, pose_message, registration_message
-from node.stand_ins import Recorder, stand_in
+from integration.harness import CAMERA_FROM_ORGAN, pose_message, registration_message, stamp_message
+from node.stand_ins import TF2, Recorder, stand_in
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.ros.inputs.registration import Registration, tf_source, transform_points
+from softtissue_estimator.ros.inputs.registration import Registration, transform_points
+from softtissue_estimator.ros.inputs.transforms import Lookup, tf_source
 
 
 def test_registration_takes_points_from_the_cloud_to_the_organ():
@@ -136,7 +137,7 @@ def test_tf_is_asked_when_no_registration_fits():
     class Tf:
         def lookup(self, cloud_frame, organ_frame, stamp_ns):
             asked.append((cloud_frame, organ_frame, stamp_ns))
-            return registration_message(CAMERA_FROM_ORGAN) if cloud_frame == "camera" else None
+            return Lookup(registration_message(CAMERA_FROM_ORGAN) if cloud_frame == "camera" else None)
 
     registration = Registration(Tf())
     expected = np.linalg.inv(CAMERA_FROM_ORGAN)
@@ -146,27 +147,95 @@ def test_tf_is_asked_when_no_registration_fits():
     assert asked == [("camera", "organ", 42), ("moon", "organ", 43)]
 
 
-def test_tf_is_asked_at_the_stamp_then_for_the_newest(monkeypatch):
-    asked = []
+def at(stamp_ns, motion=CAMERA_FROM_ORGAN, parent="camera"):
+    message = registration_message(motion, parent=parent)
+    message.header.stamp = stamp_message(stamp_ns)
+    return message
 
-    class ExtrapolationException(Exception):
-        pass
 
-    class Buffer:
-        def lookup_transform(self, target, source, time):
-            asked.append((target, source, time.nanoseconds))
-            if time.nanoseconds:
-                raise ExtrapolationException
-            return "newest"
+SECOND = 1_000_000_000
 
-    stand_in(
-        monkeypatch, "tf2_ros", Buffer=Buffer, TransformListener=Recorder, LookupException=KeyError,
-        ConnectivityException=KeyError, ExtrapolationException=ExtrapolationException,
-    )  # fmt: skip
-    source = tf_source(None)
-    assert source.lookup("camera", "organ", 42) == "newest"
+
+@pytest.fixture(params=["stand-in", "tf2"])
+def tf(request, monkeypatch):
+    """A source of transforms over the stand-in's buffer, and over tf2's where it is installed."""
+    if request.param == "stand-in":
+        stand_in(monkeypatch, "tf2_ros", **TF2)
+        return tf_source(None)
+    pytest.importorskip("tf2_ros", reason="tf2 is not installed; the stand-in covers the node's side")
+    monkeypatch.setattr("tf2_ros.TransformListener", Recorder)
+    return tf_source(None)
+
+
+def test_tf_is_asked_at_the_stamp_then_for_the_newest(tf):
+    tf._buffer.set_transform(at(10 * SECOND), "test")
+    tf._buffer.set_transform(at(11 * SECOND, moved(0.01)), "test")
+    exact = tf.lookup("camera", "organ", 10 * SECOND)
     # lookup_transform(target, source) gives the pose of the source in the target: what `registration` states.
-    assert asked == [("camera", "organ", 42), ("camera", "organ", 0)]
+    assert exact.transform.transform.translation.x == pytest.approx(CAMERA_FROM_ORGAN[0, 3])
+    assert (exact.lag_s, exact.may_come) == (0.0, False)
+    late = tf.lookup("camera", "organ", 13 * SECOND)
+    assert late.transform.transform.translation.x == pytest.approx(CAMERA_FROM_ORGAN[0, 3] + 0.01)
+    assert (late.lag_s, late.may_come) == (pytest.approx(2.0), True)
+    assert "extrapolation into the future" in late.reason
+    early = tf.lookup("camera", "organ", 9 * SECOND)
+    assert (early.lag_s, early.may_come) == (pytest.approx(-2.0), False)
+
+
+def test_static_transform_is_never_old(tf):
+    tf._buffer.set_transform_static(at(0), "test")
+    for stamp in (0, 1, 60 * SECOND):
+        found = tf.lookup("camera", "organ", stamp)
+        assert (found.lag_s, found.may_come) == (0.0, False) and found.transform is not None
+
+
+def test_what_tf_raises_becomes_a_reason(tf):
+    slash = tf.lookup("/camera", "organ", SECOND)
+    assert (slash.transform, slash.may_come) == (None, False) and "/camera" in slash.reason
+    unknown = tf.lookup("camera", "organ", SECOND)
+    assert (unknown.transform, unknown.may_come) == (None, True) and "camera" in unknown.reason
+    tf._buffer.set_transform(at(SECOND), "test")
+    apart = tf.lookup("camera", "kidney", SECOND)
+    assert (apart.transform, apart.may_come) == (None, True)
+
+
+def test_cloud_without_a_stamp_has_a_moving_transform_in_doubt(tf):
+    tf._buffer.set_transform(at(10 * SECOND), "test")
+    assert "got the stamp 0" in Registration(tf).pose("camera", "organ", 0).doubt
+
+
+def stream(registration, monkeypatch, now, count=6):
+    for step in range(count):
+        now += 0.1
+        monkeypatch.setattr(
+            "softtissue_estimator.ros.inputs.registration.time.monotonic", lambda now=now: now
+        )
+        registration.put(registration_message(moved(0.001 * step)))
+    return now
+
+
+def advance(monkeypatch, now):
+    monkeypatch.setattr("softtissue_estimator.ros.inputs.registration.time.monotonic", lambda: now)
+
+
+def test_moving_registration_that_is_no_longer_sent_is_refused(monkeypatch):
+    registration = Registration(max_age_s=lambda: 0.5)
+    now = stream(registration, monkeypatch, 100.0)
+    advance(monkeypatch, now + 0.4)
+    assert registration.pose("camera", "organ", 0).told
+    advance(monkeypatch, now + 0.6)
+    with pytest.raises(InvalidInputError, match="got none for 0.6 s"):
+        registration.pose("camera", "organ", 0)
+    registration.kept = True  # for late comers
+    assert registration.pose("camera", "organ", 0).told
+
+
+def test_registration_that_is_corrected_once_holds_on(monkeypatch):
+    registration = Registration(max_age_s=lambda: 0.5)
+    now = stream(registration, monkeypatch, 100.0, count=2)
+    advance(monkeypatch, now + 60.0)
+    assert registration.pose("camera", "organ", 0).told
+    assert registration.age_s == pytest.approx(60.0)
 
 
 def test_without_tf_there_is_no_source(monkeypatch):

@@ -22,6 +22,11 @@ def test_silence_names_its_cause():
     assert silence(6.9, 5.0, None, 1, 2.0, "/t") is None
 
 
+def test_publisher_that_comes_back_has_as_long_as_the_first():
+    assert silence(10.0, 9.0, 3.0, 1, 2.0, "/t") is None
+    assert "got none for 2.5 s" in silence(11.5, 9.0, 3.0, 1, 2.0, "/t")
+
+
 def test_throttle_repeats_a_sentence_only_so_often():
     throttle = Throttle(2.0)
     assert throttle.due("got 1.5 mm", 0.0)

@@ -24,11 +24,11 @@ def corners(marker):
 
 
 def test_bytes_hold_the_moved_triangles_of_every_mesh(organ):
-    buffer = MarkerBuffer(organ, 1.5)
+    buffer = MarkerBuffer(organ)
     rng = np.random.default_rng(0)
-    for stamp in (1_234_567_890_000_000_001, 2_000_000_000_999_999_999):
+    for stamp, lifetime_s in ((1_234_567_890_000_000_001, 1.5), (2_000_000_000_999_999_999, 0.25)):
         positions = organ.query_points + rng.normal(scale=0.01, size=organ.query_points.shape)
-        message = deserialize_message(buffer.serialised(positions, stamp), MarkerArray)
+        message = deserialize_message(buffer.serialised(positions, stamp, lifetime_s), MarkerArray)
         meshes = [*(s.mesh for s in organ.structures), organ.surface]
         names = [*(s.name for s in organ.structures), organ.name]
         assert [m.ns for m in message.markers] == names
@@ -39,13 +39,13 @@ def test_bytes_hold_the_moved_triangles_of_every_mesh(organ):
             assert marker.header.frame_id == "organ"
             assert marker.header.stamp.sec * 1_000_000_000 + marker.header.stamp.nanosec == stamp
             assert (marker.type, marker.action) == (Marker.TRIANGLE_LIST, Marker.ADD)
-            assert (marker.lifetime.sec, marker.lifetime.nanosec) == (1, 500_000_000)
+            assert marker.lifetime.sec + 1e-9 * marker.lifetime.nanosec == pytest.approx(lifetime_s)
             assert (marker.scale.x, marker.pose.orientation.w) == (1.0, 1.0)
             first += len(mesh.vertices)
 
 
 def test_structures_are_coloured_and_the_organ_translucent(organ):
-    message = deserialize_message(MarkerBuffer(organ, 1.0).serialised(organ.query_points, 0), MarkerArray)
+    message = deserialize_message(MarkerBuffer(organ).serialised(organ.query_points, 0, 1.0), MarkerArray)
     colours = [(m.color.r, m.color.g, m.color.b, m.color.a) for m in message.markers]
     for colour, structure in zip(colours, organ.structures, strict=False):
         np.testing.assert_allclose(colour, structure.colour, atol=1e-6)

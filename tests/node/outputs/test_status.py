@@ -9,6 +9,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus
 from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.estimators.diagnosis import Diagnosis, RegistrationEstimate
@@ -17,6 +18,7 @@ from softtissue_estimator.ros.inputs.counters import Counts
 from softtissue_estimator.ros.outputs.status import (
     INVALID,
     OK,
+    Condition,
     Report,
     Setup,
     diagnostics_message,
@@ -38,7 +40,7 @@ def registration_off():
 
 
 def values(of):
-    (status,) = diagnostics_message("node", Time(), "active", of, Setup(), Counts()).status
+    (status,) = diagnostics_message("node", Time(), Condition("active"), of, Setup(), Counts()).status
     return {entry.key: entry.value for entry in status.values}
 
 
@@ -75,3 +77,33 @@ def test_diagnostics_say_the_same_in_mm_and_degrees():
     assert (shown["registration sigma (mm)"], shown["registration sigma (deg)"]) == ("2.00", "1.00")
     assert (shown["outlier fraction"], shown["innovation rms"]) == ("0.250", "1.50")
     assert (shown["largest sigma of tumour (mm)"], shown["largest sigma of vein (mm)"]) == ("1.50", "nan")
+
+
+def of_condition(condition, about):
+    (status,) = diagnostics_message("node", Time(), condition, about, Setup(), Counts()).status
+    return status.level, status.message
+
+
+@pytest.mark.parametrize(
+    ("condition", "level", "words"),
+    [
+        (Condition("unconfigured"), DiagnosticStatus.WARN, "unconfigured: clouds are answered only"),
+        (Condition("inactive"), DiagnosticStatus.WARN, "inactive"),
+        (Condition("finalized"), DiagnosticStatus.ERROR, "finalized"),
+        (
+            Condition("unconfigured", failure="organ x: expected, got"),
+            DiagnosticStatus.ERROR,
+            "unconfigured: organ x",
+        ),
+        (Condition("active"), DiagnosticStatus.OK, "no cloud yet"),
+    ],
+)
+def test_node_that_answers_nothing_is_not_ok_for_monitors(condition, level, words):
+    found, message = of_condition(condition, Report(OK))
+    assert found == level and message.startswith(words)
+
+
+def test_monitors_hear_what_became_of_the_newest_cloud():
+    assert of_condition(Condition("active"), Report(OK, total_s=0.01)) == (DiagnosticStatus.OK, "ok")
+    refused = of_condition(Condition("active"), Report(INVALID, "expected a cloud, got none"))
+    assert refused == (DiagnosticStatus.ERROR, "expected a cloud, got none")

@@ -1,29 +1,26 @@
-"""The rigid pose of the organ: the newest that was told, or tf2 where it is installed."""
+"""The rigid pose of the organ: the newest that was told, or what tf2 knows."""
 
+import math
 import threading
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from numpy.typing import NDArray
-from rclpy.node import Node
-from rclpy.time import Time
 
+from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.inputs.conversions import read_pose, read_transform
 from softtissue_estimator.ros.inputs.pose_covariance import at_centre, read_covariance
+from softtissue_estimator.ros.inputs.transforms import Lookup, TransformSource
 
 FloatArray = NDArray[np.float64]
 
+# So many registrations that differ, each within this time of the one before, are of something that moves.
+_STREAM, _STREAM_S = 5, 1.0
 _SAME = 1e-6  # m and rad: two poses that differ by less are one, rounded
-
-
-class TransformSource(Protocol):
-    """Something that knows transforms."""
-
-    def lookup(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> TransformStamped | None:
-        """Return the pose of `organ_frame` in `cloud_frame`, or None if unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +37,8 @@ class OrganPose:
     told : bool
         Whether somebody registered the organ so: not where the frames are one, and not by tf2, where a pose may
         change because the camera moves.
+    doubt : str
+        Why it may not be the pose at the cloud's stamp, in a sentence; empty where it is.
     """
 
     cloud_frame: str
@@ -47,6 +46,7 @@ class OrganPose:
     motion: FloatArray
     covariance: FloatArray | None = None
     told: bool = False
+    doubt: str = ""
 
     @property
     def organ_from_cloud(self) -> FloatArray:
@@ -77,12 +77,28 @@ class Registration:
     ----------
     fallback : TransformSource or None
         Asked when no registration for the frames has arrived.
+    max_age_s : callable
+        Returns how old a pose may be that moves, s (`EstimatorConfig.registration_max_age_s`).
     """
 
-    def __init__(self, fallback: TransformSource | None = None) -> None:
+    def __init__(
+        self,
+        fallback: TransformSource | None = None,
+        max_age_s: Callable[[], float] = lambda: EstimatorConfig.registration_max_age_s,
+    ) -> None:
+        self._max_age_s = max_age_s
+        self._changed_s, self._changes = -math.inf, 0
+        self.kept = False
+        """Whether its publishers keep it for late comers: then it holds until they send another."""
         self._lock = threading.Lock()
         self._fallback = fallback
         self._newest: OrganPose | None = None
+        self._arrived_s = math.nan
+
+    @property
+    def age_s(self) -> float:
+        """Time since the newest registration arrived, s; NaN where none did."""
+        return time.monotonic() - self._arrived_s
 
     def put(self, message: TransformStamped) -> None:
         """Take a registration, which replaces the one before.
@@ -114,9 +130,12 @@ class Registration:
                 f"registration: expected no motion of frame {pose.organ_frame!r} in itself, got another"
             )
         with self._lock:
+            now = self._arrived_s = time.monotonic()
             # One that only repeats the one before stays the same object, from which others tell that it does.
             if self._newest is None or not pose.repeats(self._newest):
                 self._newest = pose
+                self._changes = self._changes + 1 if now - self._changed_s < _STREAM_S else 1
+                self._changed_s = now
 
     def pose(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> OrganPose:
         """Return the pose of the organ's frame in the cloud's; the same object as long as the registration is.
@@ -124,23 +143,41 @@ class Registration:
         Raises
         ------
         InvalidInputError
-            If the frames differ and no registration between them is known.
+            If the frames differ and no registration between them is known, or one that is too old.
         """
         with self._lock:
-            newest = self._newest
+            newest, age_s = self._newest, time.monotonic() - self._arrived_s
+            moving = self._changes >= _STREAM and not self.kept
         if newest is not None and (newest.cloud_frame, newest.organ_frame) == (cloud_frame, organ_frame):
+            if moving and age_s > self._max_age_s():
+                raise InvalidInputError(
+                    f"registration: expected one that moves at least every {self._max_age_s():g} s"
+                    f" (registration_max_age_s), got none for {age_s:.1f} s"
+                )
             return newest
         if cloud_frame == organ_frame:
             return OrganPose(cloud_frame, organ_frame, np.eye(4))
+        found = Lookup(None)
         if self._fallback is not None and cloud_frame:
-            message = self._fallback.lookup(cloud_frame, organ_frame, stamp_ns)
-            if message is not None:
-                return OrganPose(cloud_frame, organ_frame, read_transform(message))
+            found = self._fallback.lookup(cloud_frame, organ_frame, stamp_ns)
+        if found.transform is not None:
+            doubt = _doubt(found, self._max_age_s())
+            return OrganPose(cloud_frame, organ_frame, read_transform(found.transform), doubt=doubt)
         have = "none" if newest is None else f"one of {newest.organ_frame!r} in {newest.cloud_frame!r}"
         raise InvalidInputError(
             f"cloud: expected frame {organ_frame!r} or a registration of {organ_frame!r} in the cloud's frame,"
-            f" got a cloud in frame {cloud_frame!r} and {have}"
+            f" got a cloud in frame {cloud_frame!r} and {have}{_hint(cloud_frame, organ_frame, newest, found)}"
         )
+
+    def awaits(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> bool:
+        """Say whether the pose at a stamp is not known and tf2 may still learn it."""
+        if self._fallback is None or not cloud_frame or cloud_frame == organ_frame:
+            return False
+        with self._lock:
+            newest = self._newest
+        if newest is not None and (newest.cloud_frame, newest.organ_frame) == (cloud_frame, organ_frame):
+            return False
+        return self._fallback.lookup(cloud_frame, organ_frame, stamp_ns).may_come
 
     def organ_from_cloud(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> FloatArray:
         """Return the (4, 4) motion that takes points from the cloud's frame to the organ's, m.
@@ -151,6 +188,36 @@ class Registration:
             As `pose`.
         """
         return self.pose(cloud_frame, organ_frame, stamp_ns).organ_from_cloud
+
+
+def _doubt(found: Lookup, max_age_s: float) -> str:
+    """Say why a transform may not be the pose at the cloud's stamp.
+
+    Raises
+    ------
+    InvalidInputError
+        If it is too far from it.
+    """
+    if math.isnan(found.lag_s):
+        return "tf2: expected a cloud with a stamp, since its frame moves, got the stamp 0"
+    if found.lag_s == 0.0:
+        return ""
+    side = "older" if found.lag_s > 0.0 else "newer"
+    said = f"tf2: expected a transform at the cloud's stamp, got one {abs(found.lag_s):.3f} s {side} than the cloud"
+    if abs(found.lag_s) > max_age_s:
+        raise InvalidInputError(f"{said}, more than registration_max_age_s ({max_age_s:g} s)")
+    return said
+
+
+def _hint(cloud_frame: str, organ_frame: str, newest: OrganPose | None, found: Lookup) -> str:
+    if newest is not None and (newest.cloud_frame, newest.organ_frame) == (organ_frame, cloud_frame):
+        return (
+            ", the wrong way round: header.frame_id names the cloud's frame, child_frame_id the organ's,"
+            " and the transform takes points of the organ to the cloud"
+        )
+    if cloud_frame.startswith("/"):
+        return "; frames have no leading slash in ROS 2"
+    return f"; tf2: {found.reason}" if found.reason else ""
 
 
 def _inverse(motion: FloatArray) -> FloatArray:
@@ -168,35 +235,3 @@ def transform_points(motion: FloatArray, points: NDArray[np.floating]) -> FloatA
         moved: FloatArray = np.dot(points.astype(np.float64, order="C"), motion[:3, :3].T)
         moved += motion[:3, 3]
     return moved
-
-
-class TfSource:
-    """Transforms from tf2; needs a full ROS 2 installation."""
-
-    def __init__(self, node: Node) -> None:
-        import tf2_ros
-
-        self._errors = (
-            tf2_ros.LookupException,
-            tf2_ros.ConnectivityException,
-            tf2_ros.ExtrapolationException,
-        )
-        self._buffer = tf2_ros.Buffer()
-        self._listener = tf2_ros.TransformListener(self._buffer, node)
-
-    def lookup(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> TransformStamped | None:
-        """Return the pose at the cloud's stamp, else the newest (a registration is often static), else None."""
-        for time in (Time(nanoseconds=stamp_ns), Time()):
-            try:
-                return self._buffer.lookup_transform(cloud_frame, organ_frame, time)
-            except self._errors:
-                continue
-        return None
-
-
-def tf_source(node: Node) -> TfSource | None:
-    """Return a source of tf2 transforms, or None where tf2 is not installed."""
-    try:
-        return TfSource(node)
-    except ImportError:
-        return None

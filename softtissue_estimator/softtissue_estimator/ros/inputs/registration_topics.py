@@ -38,6 +38,8 @@ class RegistrationTopics:
         organ_frame: Callable[[], str],
         on_warning: Callable[[str], None],
     ) -> None:
+        self._registration = registration
+
         def take_pose(message: PoseWithCovarianceStamped) -> None:
             registration.put_with_covariance(message, organ_frame())
 
@@ -50,6 +52,8 @@ class RegistrationTopics:
         """Subscribe once more to a topic if all its publishers keep their message for late comers."""
         for topic in self._topics:
             topic.look_for_kept()
+        offered = [topic.kept for topic in self._topics if topic.offered]
+        self._registration.kept = bool(offered) and all(offered)
 
     def close(self) -> None:
         """End the subscriptions."""
@@ -63,13 +67,15 @@ class _Topic:
     ) -> None:
         self._node, self._kind, self._name = node, kind, name
         self._put, self._on_warning = put, on_warning
+        self.offered = self.kept = False
         self._subscriptions = [node.create_subscription(kind, name, self._take, REGISTRATION_QOS)]
 
     def look_for_kept(self) -> None:
-        if len(self._subscriptions) > 1:
-            return
         offers = self._node.get_publishers_info_by_topic(self._subscriptions[0].topic_name)
-        if offers and all(o.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers):
+        if offers:  # those of a publisher that is gone hold on
+            self.offered = True
+            self.kept = all(o.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers)
+        if self.kept and len(self._subscriptions) == 1:
             kept = self._node.create_subscription(self._kind, self._name, self._take, KEPT_REGISTRATION_QOS)
             self._subscriptions.append(kept)
 

@@ -8,7 +8,7 @@ TRANSPORT_HINT = (
 
 def silence(
     now_s: float,
-    active_since_s: float,
+    announced_since_s: float,
     last_cloud_s: float | None,
     publishers: int,
     timeout_s: float,
@@ -18,8 +18,9 @@ def silence(
 
     Parameters
     ----------
-    now_s, active_since_s, last_cloud_s : float
-        Now, the activation and the newest cloud, s on one monotonic clock; None if no cloud came yet.
+    now_s, announced_since_s, last_cloud_s : float
+        Now, since when somebody announces clouds to the active node, and the newest cloud, s on one monotonic clock;
+        None if no cloud came yet.
     publishers : int
         Publishers announced on the topic.
     timeout_s : float
@@ -27,7 +28,10 @@ def silence(
     topic : str
         Full name of the topic.
     """
-    waited = now_s - (active_since_s if last_cloud_s is None else last_cloud_s)
+    waited = now_s - announced_since_s
+    if last_cloud_s is not None:
+        # A publisher that comes back has as long as the first one had.
+        waited = now_s - (max(announced_since_s, last_cloud_s) if publishers else last_cloud_s)
     if waited <= timeout_s:
         return None
     expected = f"{topic}: expected a cloud at least every {timeout_s:g} s, got none for {waited:.1f} s"

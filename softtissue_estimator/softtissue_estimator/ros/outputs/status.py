@@ -15,6 +15,7 @@ OK = int(EstimatorStatus.OK)
 DEGRADED = int(EstimatorStatus.DEGRADED)
 INVALID = int(EstimatorStatus.INVALID)
 
+ACTIVE = "active"
 _LARGEST_COUNT = 2**32 - 1
 
 _DIAGNOSTIC_LEVEL = {
@@ -102,6 +103,39 @@ class Setup:
     frame: str = ""
 
 
+@dataclass(frozen=True)
+class Condition:
+    """How the node itself is.
+
+    Attributes
+    ----------
+    state : str
+        Of its life cycle.
+    failure : str
+        Why the last transition failed, in a sentence; empty if it did not.
+    faults : int
+        Errors of the program itself since it began.
+    registration_age_s : float
+        Time since the registration in use arrived, s; NaN where there is none.
+    """
+
+    state: str
+    failure: str = ""
+    faults: int = 0
+    registration_age_s: float = math.nan
+
+    def level(self, report: Report) -> tuple[bytes, str]:
+        """Return level and message for monitors, of which `report` knows something only while the node is active."""
+        if self.state == ACTIVE:
+            if report.reason or report.level != OK:
+                return _DIAGNOSTIC_LEVEL[report.level], report.reason
+            return DiagnosticStatus.OK, "no cloud yet" if math.isnan(report.total_s) else "ok"
+        if self.failure:
+            return DiagnosticStatus.ERROR, f"{self.state}: {self.failure}"
+        level = DiagnosticStatus.ERROR if self.state == "finalized" else DiagnosticStatus.WARN
+        return level, f"{self.state}: clouds are answered only while the node is active"
+
+
 def status_message(report: Report, setup: Setup, counts: Counts) -> EstimatorStatus:
     """Build the message of `~/status`."""
     message = EstimatorStatus()
@@ -130,17 +164,13 @@ def status_message(report: Report, setup: Setup, counts: Counts) -> EstimatorSta
 
 
 def diagnostics_message(
-    name: str, now: Time, state: str, report: Report, setup: Setup, counts: Counts, faults: int = 0
+    name: str, now: Time, condition: Condition, report: Report, setup: Setup, counts: Counts
 ) -> DiagnosticArray:
-    """Build the message of `/diagnostics` about the node called `name`, in the lifecycle state `state`.
-
-    `faults` counts the errors of the program itself since it began.
-    """
+    """Build the message of `/diagnostics` about the node called `name`."""
     status = DiagnosticStatus(name=f"{name}: estimate", hardware_id=setup.device)
-    status.level = _DIAGNOSTIC_LEVEL[report.level]
-    status.message = report.reason or "ok"
+    status.level, status.message = condition.level(report)
     values = {
-        "state": state,
+        "state": condition.state,
         "estimator": setup.estimator,
         "device": setup.device,
         "organ": setup.organ,
@@ -148,7 +178,8 @@ def diagnostics_message(
         "frames answered": counts.answered,
         "frames dropped": counts.dropped,
         "frames refused": counts.refused,
-        "internal errors": faults,
+        "internal errors": condition.faults,
+        "registration age (s)": f"{condition.registration_age_s:.1f}",
         "visible fraction": f"{report.visible_fraction:.3f}",
         "points used": report.used,
         "points rejected": report.left_out,

@@ -144,6 +144,23 @@ class Replay:
         self._stop.event.wait(LINGER_S)
 
 
+def _play(node: Any, bag: Any, options: argparse.Namespace, stop: StopRequest) -> str | None:
+    """Replay; return what is missing in a sentence."""
+    replay = Replay(node, bag, options, stop)
+    node.get_logger().info(f"{options.bag}: {bag.message_count} messages in {bag.duration_ns / 1e9:.1f} s")
+    missing = replay.wait_for_subscribers()
+    if missing is not None:
+        return missing
+    while not stop.event.is_set():
+        replay.play()
+        if not options.loop:
+            break
+    replay.drain()
+    if options.report is not None:
+        options.report.write_text(json.dumps({"sent": dict(replay.sent)}, indent=2) + "\n")
+    return None
+
+
 def run(options: argparse.Namespace, stop: StopRequest) -> int:
     """Replay; return the exit code."""
     import rclpy
@@ -153,23 +170,15 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
     with Bag(options.bag) as bag:
         node = rclpy.create_node("replay")
         spinner = Spinner(node, lambda error: stop.stop(1))
-        replay = Replay(node, bag, options, stop)
-        node.get_logger().info(
-            f"{options.bag}: {bag.message_count} messages in {bag.duration_ns / 1e9:.1f} s"
-        )
-        missing = replay.wait_for_subscribers()
-        if missing is not None:
-            print(f"error: {missing}", file=sys.stderr)
-            return 1
-        while not stop.event.is_set():
-            replay.play()
-            if not options.loop:
-                break
-        replay.drain()
-        if options.report is not None:
-            options.report.write_text(json.dumps({"sent": dict(replay.sent)}, indent=2) + "\n")
-        spinner.stop(2.0)
-        node.destroy_node()
+        try:
+            missing = _play(node, bag, options, stop)
+        finally:
+            # Before the context ends: a thread that still spins then would abort the process.
+            spinner.stop(2.0)
+            node.destroy_node()
+    if missing is not None:
+        print(f"error: {missing}", file=sys.stderr)
+        return 1
     return stop.exit_code
 
 

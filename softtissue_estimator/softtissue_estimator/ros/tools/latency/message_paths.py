@@ -58,11 +58,11 @@ def time_markers(publisher: Any) -> dict[str, Any]:
     """Time one mesh of 20,000 triangles from deformed vertices to publication; the publisher must be heard."""
     organ = ring_alone()
     positions = organ.query_points + 0.001
-    ours = MarkerBuffer(organ, LIFETIME_S)
+    ours = MarkerBuffer(organ)
     return _row(
         "markers published",
         TRIANGLES,
-        lambda: publisher.publish(ours.serialised(positions, _STAMP_NS)),
+        lambda: publisher.publish(ours.serialised(positions, _STAMP_NS, LIFETIME_S)),
         lambda: publisher.publish(naive.markers(organ, positions, _STAMP_NS)),
     )
 

@@ -1,0 +1,48 @@
+"""Command lines of the executables as a user types them: what is wrong is one sentence and an exit code."""
+
+import os
+import subprocess
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
+pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
+
+from integration.harness import executable
+from softtissue_estimator.support.resources import resource
+
+
+def run(environment, name, *arguments):
+    return subprocess.run(
+        [executable(name), *arguments],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+def test_node_shows_its_help(environment):
+    ended = run(environment, "node", "--help")
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "--ros-args" in ended.stdout and "maximum_sigma_m" in ended.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (["-p", "organ:=/data/liver"], "did you mean --ros-args -p organ:=/data/liver?"),
+        (["--ros-args", "-p", "estimater:=paper"], "did you mean estimator?"),
+    ],
+)
+def test_node_refuses_what_it_does_not_know(environment, arguments, hint):
+    ended = run(environment, "node", *arguments)
+    assert ended.returncode == 2
+    (line,) = (line for line in ended.stderr.splitlines() if "[INFO]" not in line)
+    assert "expected" in line and line.endswith(hint)
+
+
+def test_replay_without_a_node_ends_with_a_sentence(environment):
+    ended = run(environment, "replay", str(resource("bags", "phantom")), "--timeout", "0.5")
+    assert ended.returncode == 1, ended.stderr
+    assert ended.stderr.splitlines()[-1].startswith("error: /surface_points: expected 1 subscriber(s), got 0")
