@@ -118,8 +118,9 @@ class EstimatorConfig:
     )
     registration_max_age_s: float = _setting(
         0.5,
-        "A pose that moves may be this much older than its cloud: of tf2 such an answer is DEGRADED, beyond it every "
-        "cloud is refused. Static transforms and registrations that are published once hold on.",
+        "A pose that moves may be this much older than its cloud: of tf2 such an answer is DEGRADED, and a cloud is "
+        "refused beyond it; of a topic answers are DEGRADED beyond it. Static transforms and registrations that are "
+        "published once hold on.",
         unit="s",
         limits=(0.0, 3600.0),
     )

@@ -144,7 +144,7 @@ class FrameAnswerer:
     def _notice(self, pose: OrganPose) -> None:
         # Here and not where registrations arrive: the frame in work has been explained with the one before.
         before, self._pose_before = self._pose_before, pose
-        if before is not None and pose is not before and (pose.told or before.told):
+        if before is not None and pose.motion is not before.motion and (pose.told or before.told):
             self._estimator.forget_registration()
 
 

@@ -218,16 +218,19 @@ def advance(monkeypatch, now):
     monkeypatch.setattr("softtissue_estimator.ros.inputs.registration.time.monotonic", lambda: now)
 
 
-def test_moving_registration_that_is_no_longer_sent_is_refused(monkeypatch):
+def test_moving_registration_that_is_no_longer_sent_is_in_doubt(monkeypatch):
     registration = Registration(max_age_s=lambda: 0.5)
     now = stream(registration, monkeypatch, 100.0)
     advance(monkeypatch, now + 0.4)
-    assert registration.pose("camera", "organ", 0).told
+    fresh = registration.pose("camera", "organ", 0)
+    assert fresh.told
+    assert not fresh.doubt
     advance(monkeypatch, now + 0.6)
-    with pytest.raises(InvalidInputError, match="got none for 0.6 s"):
-        registration.pose("camera", "organ", 0)
+    late = registration.pose("camera", "organ", 0)
+    assert "got none for 0.6 s" in late.doubt
+    assert late.motion is fresh.motion  # whatever was found out about it holds on
     registration.kept = True  # for late comers
-    assert registration.pose("camera", "organ", 0).told
+    assert registration.pose("camera", "organ", 0) is fresh
 
 
 def test_registration_that_is_corrected_once_holds_on(monkeypatch):

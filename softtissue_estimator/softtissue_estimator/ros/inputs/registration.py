@@ -4,7 +4,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
@@ -138,22 +138,24 @@ class Registration:
                 self._changed_s = now
 
     def pose(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> OrganPose:
-        """Return the pose of the organ's frame in the cloud's; the same object as long as the registration is.
+        """Return the pose of the organ's frame in the cloud's; the same `motion` as long as the registration is.
 
         Raises
         ------
         InvalidInputError
-            If the frames differ and no registration between them is known, or one that is too old.
+            If the frames differ and nothing between them is known, or tf2 knows a pose that is too old.
         """
         with self._lock:
             newest, age_s = self._newest, time.monotonic() - self._arrived_s
             moving = self._changes >= _STREAM and not self.kept
         if newest is not None and (newest.cloud_frame, newest.organ_frame) == (cloud_frame, organ_frame):
             if moving and age_s > self._max_age_s():
-                raise InvalidInputError(
+                # Not refused: who dragged it to where it belongs, and let go, is right.
+                doubt = (
                     f"registration: expected one that moves at least every {self._max_age_s():g} s"
                     f" (registration_max_age_s), got none for {age_s:.1f} s"
                 )
+                return replace(newest, doubt=doubt)
             return newest
         if cloud_frame == organ_frame:
             return OrganPose(cloud_frame, organ_frame, np.eye(4))
