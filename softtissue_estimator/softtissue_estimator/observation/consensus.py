@@ -20,7 +20,7 @@ MOST_STRAIN = 0.6
 _LEAST_TOLERANCE_M = 0.002
 _NEAREST_QUANTILE = 0.2  # of the differences between neighbours: those of good points, even if 40 % are wrong
 _TOLERANCE_OVER_QUANTILE = 4.0  # normal noise exceeds it in one pair of a thousand
-_NEIGHBOURS = 6
+_NEIGHBOURS = 8
 _REACH_M = 0.012  # neighbours farther apart say nothing about each other
 _MOST_JUDGES = (
     1500  # points that are compared with each other, spread over all; others are compared with these
