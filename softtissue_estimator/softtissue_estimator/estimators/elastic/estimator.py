@@ -176,7 +176,9 @@ class ElasticEstimator(Estimator):
             solver.unexplained(posterior),
             1.0 - float(kept.mean()),
         )
-        estimate = ElasticEstimate(model, patches, posterior.residual, ratio, mean, sigma, diagnosis, watch.stages)
+        estimate = ElasticEstimate(
+            model, patches, posterior.residual, ratio, mean, sigma, diagnosis, watch.stages
+        )
         watch.lap("warp")
         return estimate
 

@@ -128,7 +128,8 @@ def standard_deviation(tangent: Tangent, amplitudes: Amplitudes) -> Tensor:
     # Single precision is plenty for a standard deviation.
     root = amplitudes.root
     count = len(root)
-    half = invert_lower(amplitudes.loads_factor)[:, :count].float() * root.float()  # L^-1 D, as triangular as L
+    inverse = invert_lower(amplitudes.loads_factor)[:, :count]
+    half = inverse.float() * root.float()  # L^-1 D, as triangular as L
     variance = torch.zeros(len(tangent.state), device=half.device)
     for begin in range(0, len(half), _BLOCK_ROWS):
         end = min(begin + _BLOCK_ROWS, len(half))
