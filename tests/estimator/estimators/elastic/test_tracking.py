@@ -190,6 +190,19 @@ def test_an_organ_that_rested_is_followed_when_it_moves_a_little(stream):
     assert np.linalg.norm(left, axis=1).mean() < 0.3 * np.linalg.norm(moved, axis=1).mean()
 
 
+def test_an_organ_that_rested_and_begins_to_move_is_not_taken_for_a_registration_that_is_off(stream):
+    """At once, before a step of the thread: the loads that were left out of an organ at rest push again."""
+    for _ in range(12):
+        stream.estimate(observed(0.0))
+    top = SURFACE.vertices[:, 2] > 0.02
+    for size in (0.15, 0.3):
+        answer = stream.estimate(observed(size))
+        truth = bent(SURFACE.vertices, size)[top]
+        left = np.linalg.norm(answer.displacement[top] - truth, axis=1).mean()
+        assert left < 0.4 * np.linalg.norm(truth, axis=1).mean()
+        assert answer.diagnosis.registration.translation_m < 0.4 * np.linalg.norm(truth, axis=1).mean()
+
+
 @pytest.mark.parametrize("stamped", [True, False])
 def test_a_stream_has_the_same_answers_however_busy_the_machine_is(monkeypatch, stamped):
     improve, delays_s = Solver.improve, itertools.cycle([0.0])
