@@ -107,7 +107,9 @@ class NodeInside:
         self._node = WatchedNode(self._fatal.append)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        failure = self._node.start()
+        started = self._executor.create_task(self._node.start)
+        self._executor.spin_until_future_complete(started)
+        failure = started.result()
         expect(failure is None, f"a node that does not start: {failure}")
         self._subscriptions = {s.topic_name.rpartition("/")[2]: s for s in self._node.subscriptions}
         self._services = {s.service_name.rpartition("/")[2]: s for s in self._node.services}
