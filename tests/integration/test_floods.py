@@ -20,7 +20,7 @@ MOST_GAP_S = 1.0
 LEAST_ANSWERED = (
     0.15  # of clouds at 20 Hz, while calls, client and the tracker's thread want three cores of two
 )
-MOST_GROWTH_MB = 90.0  # with the first step after a start, which three threads share
+MOST_GROWTH_MB = 90.0  # with the first step after a start
 
 
 @pytest.fixture(scope="module")

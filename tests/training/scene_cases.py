@@ -7,10 +7,10 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
+from softtissue_training.phantom.pose import Pose
 from softtissue_training.phantom.spec import PhantomSpec, Push
 from softtissue_training.scene.build import FrameFigures, Scene
 from softtissue_training.scene.camera import StereoCamera
-from softtissue_training.scene.pose import Pose
 from softtissue_training.scene.spec import Breathing, SceneSpec
 
 COARSE = PhantomSpec(

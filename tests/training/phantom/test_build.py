@@ -197,11 +197,11 @@ def test_endoscope_looks_at_its_target():
     pose = endoscope_pose(target)
     np.testing.assert_allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(pose.rotation) == pytest.approx(1.0)
-    seen = pose.to_endoscope(target[None])[0]
+    seen = pose.outer(target[None])[0]
     np.testing.assert_allclose(seen[:2], 0.0, atol=1e-12)
     assert seen[2] > 0.1
     # What is nearer to the head is further up in the image, whose y axis points down.
-    assert pose.to_endoscope(target[None] + [0.0, 0.0, 0.01])[0, 1] < 0.0
+    assert pose.outer(target[None] + [0.0, 0.0, 0.01])[0, 1] < 0.0
 
 
 def test_push_rises_from_nothing_and_is_half_released():

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from softtissue_estimator.organ.mesh import SurfaceMesh
+from softtissue_training.phantom.pose import Pose
 from softtissue_training.scene.camera import StereoCamera
-from softtissue_training.scene.pose import Pose
 from softtissue_training.scene.sensor import Frame, StereoSensor
 from softtissue_training.scene.tracks import Tracker
 from softtissue_training.scene.view import see

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softtissue_estimator.organ.mesh import SurfaceMesh
+from softtissue_training.phantom.pose import Pose
 from softtissue_training.scene.camera import CameraPath, StereoCamera
-from softtissue_training.scene.pose import Pose
 from softtissue_training.scene.view import NEAREST_M, normals_seen, see
 from softtissue_training.scene.world import Moment
 from training.scene_cases import CAMERA, SPEC

@@ -9,7 +9,8 @@ from rosbags.typesys import get_types_from_msg
 
 from softtissue_training.phantom.anatomy import ORGAN_FRAME
 from softtissue_training.phantom.message_writer import POSITION, MessageWriter
-from softtissue_training.phantom.sensor import CLOUD_FRAME, Frame, Pose
+from softtissue_training.phantom.pose import Pose
+from softtissue_training.phantom.sensor import CLOUD_FRAME, Frame
 
 Array = NDArray[np.float64]
 
@@ -60,7 +61,7 @@ class BagWriter(MessageWriter):
     def registration(self, pose: Pose, time: float) -> None:
         """Write the organ's pose in the endoscope's frame at `time` (s)."""
         frames = (self._cloud_frame, self._organ_frame)
-        self.write_transform(REGISTRATION_TOPIC, frames, pose.translation, pose.quaternion, time)
+        self.write_transform(REGISTRATION_TOPIC, frames, pose.position, pose.quaternion, time)
 
     def frame(self, frame: Frame, markers: Array) -> None:
         """Write a frame's cloud and true markers; `markers` ``(k, 3)`` m are their preoperative positions."""

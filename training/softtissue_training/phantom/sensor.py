@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_training.phantom.anatomy import Anatomy
 from softtissue_training.phantom.motion import Motion
+from softtissue_training.phantom.pose import Pose
 from softtissue_training.phantom.spec import PhantomSpec
 from softtissue_training.phantom.vessels import interior_points
 
@@ -20,23 +20,6 @@ CLOUD_FRAME = "endoscope"
 _CAMERA_POSITION_M = (0.02, -0.19, -0.09)  # organ frame
 _MARKER_DEPTH_M = 0.010  # below the surface
 _DEEP_MARKER_DEPTH_M = 0.022  # below the surface
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Rigid pose of the organ in the endoscope's frame: x_endoscope = rotation x_organ + translation."""
-
-    rotation: Array  # (3, 3)
-    translation: Array  # (3,) m
-
-    def to_endoscope(self, points: Array) -> Array:
-        """Map points ``(n, 3)`` m from the organ's frame to the endoscope's."""
-        return points @ self.rotation.T + self.translation
-
-    @property
-    def quaternion(self) -> Array:
-        """Rotation as (x, y, z, w)."""
-        return np.asarray(Rotation.from_matrix(self.rotation).as_quat())
 
 
 @dataclass(frozen=True)
@@ -124,9 +107,7 @@ def record(
         reference = reference.astype(np.float32).astype(np.float64)
         now = reference + motion.at(motion.interpolator.weights(reference), time)
         noise = rng.normal(0.0, spec.noise, reference.shape)
-        yield Frame(
-            time, pose.to_endoscope(now) + noise, reference, markers + motion.at(marker_weights, time)
-        )
+        yield Frame(time, pose.outer(now) + noise, reference, markers + motion.at(marker_weights, time))
 
 
 def _draw(deformed: SurfaceMesh, rest: Array, count: int, rng: np.random.Generator) -> Array:

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from softtissue_training.phantom.anatomy import ORGAN_FRAME
 from softtissue_training.phantom.message_writer import POSITION, MessageWriter
+from softtissue_training.phantom.pose import Pose
 from softtissue_training.scene.camera import StereoCamera
-from softtissue_training.scene.pose import Pose
 from softtissue_training.scene.tracks import Tracked
 
 Array = NDArray[np.float64]

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 from softtissue_estimator.organ.mesh import face_areas
 from softtissue_training.phantom.anatomy import Anatomy, build_anatomy
 from softtissue_training.phantom.motion import Motion
+from softtissue_training.phantom.pose import Pose
 from softtissue_training.phantom.sensor import choose_markers
 from softtissue_training.scene.bag import SceneWriter
 from softtissue_training.scene.camera import CameraPath, StereoCamera
 from softtissue_training.scene.motion import simulate_scene
 from softtissue_training.scene.picture import Painter
-from softtissue_training.scene.pose import Pose
 from softtissue_training.scene.sensor import Frame, StereoSensor
 from softtissue_training.scene.spec import SceneSpec
 from softtissue_training.scene.surroundings import build_surroundings

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from softtissue_training.scene.pose import Pose
+from softtissue_training.phantom.pose import Pose
 
 Array = NDArray[np.float64]
 

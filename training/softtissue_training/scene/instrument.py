@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.organ.mesh import SurfaceMesh
-from softtissue_training.scene.pose import Pose
+from softtissue_training.phantom.pose import Pose
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from matplotlib import image as files
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from softtissue_training.phantom.pose import Pose
 from softtissue_training.scene.camera import StereoCamera
-from softtissue_training.scene.pose import Pose
 from softtissue_training.scene.view import normals_seen, see
 from softtissue_training.scene.world import ORGAN, SURFACES, Moment
 

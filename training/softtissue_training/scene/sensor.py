@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from softtissue_training.phantom.pose import Pose
 from softtissue_training.scene.camera import StereoCamera
-from softtissue_training.scene.pose import Pose
 from softtissue_training.scene.view import Indices, View, normals_seen, see
 from softtissue_training.scene.world import Moment
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.view.rendering import covered_pixels, vertex_normals
+from softtissue_training.phantom.pose import Pose
 from softtissue_training.scene.camera import StereoCamera
-from softtissue_training.scene.pose import Pose
 from softtissue_training.scene.world import Moment
 
 Array = NDArray[np.float64]

@@ -6,11 +6,11 @@ import numpy as np
 from geometry_msgs.msg import TransformStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
-from trimesh.transformations import quaternion_from_matrix
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.inputs.conversions import time_message
 from softtissue_estimator.ros.inputs.registration import OrganPose
+from softtissue_estimator.ros.outputs.pose_buffer import quaternion
 
 FloatArray = NDArray[np.float64]
 
@@ -72,6 +72,5 @@ class RegistrationBroadcast:
         message.header.stamp = time_message(stamp_ns)
         translation, rotation = message.transform.translation, message.transform.rotation
         translation.x, translation.y, translation.z = motion[:3, 3].tolist()
-        w, x, y, z = quaternion_from_matrix(motion, isprecise=True).tolist()  # type: ignore[no-untyped-call]
-        rotation.x, rotation.y, rotation.z, rotation.w = x, y, z, w
+        rotation.x, rotation.y, rotation.z, rotation.w = quaternion(motion)
         self._publisher.publish(self._kind(transforms=[message]))

@@ -70,9 +70,7 @@ class PoseBuffer:
         if frame != self._frame:
             self._prepare(frame)
         self._numbers[:3] = motion[:3, 3]
-        # Faster than SciPy's, which looks first whether it is a rotation.
-        w, x, y, z = quaternion_from_matrix(motion, isprecise=True)  # type: ignore[no-untyped-call]
-        self._numbers[3:7] = x, y, z, w
+        self._numbers[3:7] = quaternion(motion)
         self._numbers[7:] = covariance.reshape(-1)
         return self._template.stamped(stamp_ns)
 
@@ -85,3 +83,10 @@ class PoseBuffer:
         (place,) = self._template.places(self._template.sentinel("d", _SENTINEL_X), 1, "poses")
         self._numbers = self._template.view(place, np.float64, _NUMBERS)
         self._frame = frame
+
+
+def quaternion(motion: FloatArray) -> tuple[float, float, float, float]:
+    """Return the rotation of a (4, 4) motion as ROS has it, (x, y, z, w)."""
+    # Faster than SciPy's, which looks first whether it is a rotation.
+    w, x, y, z = quaternion_from_matrix(motion, isprecise=True).tolist()  # type: ignore[no-untyped-call]
+    return x, y, z, w

@@ -21,7 +21,8 @@ from softtissue_training.evaluation.streams.recorded_conditions import RECORDED_
 from softtissue_training.evaluation.streams.recording import read_recording
 from softtissue_training.evaluation.streams.run_recording import run_recording
 from softtissue_training.phantom.bag import BagWriter
-from softtissue_training.phantom.sensor import Frame, Pose
+from softtissue_training.phantom.pose import Pose
+from softtissue_training.phantom.sensor import Frame
 from training.phantom_cases import MARKERS_M, bend, seen_points, write_case
 
 POSE = Pose(Rotation.from_euler("xyz", [0.3, -1.1, 2.0]).as_matrix(), np.array([0.02, -0.1, 0.15]))
@@ -37,7 +38,7 @@ def bent(points, number):
 def frame(number, markers=MARKERS_M):
     # Other points in every frame, and one more than in the frame before.
     before = seen_points(POINTS + number).astype(np.float32)
-    points = POSE.to_endoscope(bent(before, number))
+    points = POSE.outer(bent(before, number))
     return Frame(1.0 + INTERVAL_S * number, points, before, bent(markers, number))
 
 

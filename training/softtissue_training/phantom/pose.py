@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Pose:
-    """Pose of an inner frame (a camera's, an instrument's) in an outer one: x_outer = rotation x_inner + position."""
+    """Pose of an inner frame (an organ's, a camera's) in an outer one: x_outer = rotation x_inner + position."""
 
     rotation: Array  # (3, 3), columns are the inner frame's axes
     position: Array  # (3,) m
