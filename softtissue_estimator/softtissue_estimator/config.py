@@ -164,6 +164,13 @@ class EstimatorConfig:
         unit="rad",
         limits=(1e-5, 0.5),
     )
+    sensor_bias_m: float = _setting(
+        0.002,
+        "Standard deviation of a smooth error of the sensor along the surface's normal, at most, where a cloud has no "
+        "correspondences. Used by 'elastic'.",
+        unit="m",
+        limits=(0.0001, 0.02),
+    )
     attachment_length_m: float = _setting(
         0.002,
         "Attached surface is held as by tissue of this thickness; more where it is uncertain what is attached. Used by "

@@ -109,14 +109,16 @@ def average_groups(
     return ObservedPatches(place[observed], mean[observed], total[observed])
 
 
-def student_weights(residual: FloatArray, precision: FloatArray) -> FloatArray:
+def student_weights(residual: FloatArray, precision: FloatArray, components: int = 3) -> FloatArray:
     """Weights of a Student distribution for residuals (c, 3) m, (c,), one where the residual is as expected.
 
     The scale is that of the median residual, if that is larger than expected.
     """
-    squared = np.einsum("cd,cd->c", residual, residual) * precision / 3.0
+    squared = np.einsum("cd,cd->c", residual, residual) * precision / components
     scale = max(1.0, float(np.median(squared)))
-    return np.asarray((_STUDENT_FREEDOM + 3.0) / (_STUDENT_FREEDOM + 3.0 * squared / scale)).clip(max=1.0)
+    return np.asarray(
+        (_STUDENT_FREEDOM + components) / (_STUDENT_FREEDOM + components * squared / scale)
+    ).clip(max=1.0)
 
 
 def _weighted_means(

@@ -1,5 +1,7 @@
 """The elastic posterior behind the interface of every estimator."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.sparse import csr_array
 from threadpoolctl import ThreadpoolController
@@ -9,18 +11,27 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.diagnosis import Diagnosis, RegistrationEstimate
 from softtissue_estimator.estimators.elastic.doubts import doubts
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
+from softtissue_estimator.estimators.elastic.observed import Matchable, Observed
+from softtissue_estimator.estimators.elastic.observed_pairs import ObservedPairs
+from softtissue_estimator.estimators.elastic.observed_surface import SURFACE_SCALES, SurfaceObservation
 from softtissue_estimator.estimators.elastic.posterior import Posterior
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError, told_error
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.estimators.elastic.tracking import ElasticTracker
 from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progress, silent
 from softtissue_estimator.inference.device import choose_device, device_stopwatch, one_thread
+from softtissue_estimator.inference.stopwatch import Stopwatch
+from softtissue_estimator.observation.bare_cloud import BareCloud
 from softtissue_estimator.observation.consensus import continuous
 from softtissue_estimator.observation.observation import Observation
-from softtissue_estimator.observation.patch_average import ObservedPatches, average_patches, fit_patches
+from softtissue_estimator.observation.patch_average import average_patches, fit_patches
+from softtissue_estimator.observation.rigid import RigidMotion
+from softtissue_estimator.observation.seen_surface import seen_surface
 from softtissue_estimator.organ.mesh import FloatArray
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
+
+IDENTITY = RigidMotion(np.eye(3), np.zeros(3))
 
 
 class ElasticEstimate(Estimate):
@@ -28,8 +39,10 @@ class ElasticEstimate(Estimate):
 
     Attributes
     ----------
-    patches : ObservedPatches
+    patches : Observed
         What it was conditioned on.
+    seen : (k, 3) m
+        Where these were on the preoperative surface, those alone that belong to the organ.
     misfit : (c, 3) float64
         Observed displacement of each of these minus the answer's, m.
     poisson_ratio : float
@@ -40,7 +53,7 @@ class ElasticEstimate(Estimate):
     def __init__(
         self,
         model: ElasticModel,
-        patches: ObservedPatches,
+        patches: Observed,
         misfit: FloatArray,
         poisson_ratio: float,
         nodal_displacement: FloatArray,
@@ -49,6 +62,7 @@ class ElasticEstimate(Estimate):
         stages: dict[str, float],
     ) -> None:
         self.patches, self.misfit, self.poisson_ratio = patches, misfit, poisson_ratio
+        self.seen = patches.reference
         self.diagnosis = diagnosis
         self._mesh = model.mesh
         self._nodal_displacement = nodal_displacement
@@ -134,7 +148,7 @@ class ElasticEstimator(Estimator):
         """Locate points (k, 3) m of the loaded organ once, for `ElasticEstimate.interpolated` in every frame."""
         return self._loaded("interpolation").mesh.interpolation(points)
 
-    def estimate(self, observation: Observation) -> ElasticEstimate:
+    def estimate(self, observation: Observation | BareCloud) -> ElasticEstimate:
         """See `Estimator.estimate`."""
         model = self._loaded("estimate")
         # Matrices of a few hundred rows gain little from a second core, where another program or the tracker's thread
@@ -147,44 +161,52 @@ class ElasticEstimator(Estimator):
             raise InvalidInputError(f"elastic estimator: expected load_organ before {before}, got no organ")
         return self._model
 
-    def _estimate(self, observation: Observation, model: ElasticModel) -> ElasticEstimate:
+    def _estimate(self, observation: Observation | BareCloud, model: ElasticModel) -> ElasticEstimate:
         watch = device_stopwatch(self._device)
-        kept = continuous(observation.reference, observation.displacement)
-        patches = average_patches(observation if kept.all() else observation.part(kept), model.lookup)
-        watch.lap("match")
-        least = self._config.model_sigma_m
-        motion = fit_patches(patches, least)
-        watch.lap("rigid")
+        seen, motion, outliers = self._seen(observation, model, watch)
         expected = model.registration
         if observation.registration_covariance is not None:
             expected = told_error(model.organ.centre, observation.registration_covariance)
+        elif isinstance(observation, BareCloud):
+            expected = replace(expected, scales=SURFACE_SCALES)
         registration = expected
         if self._tracker is not None:
             self._tracker.catch_up(observation.stamp_s)
             registration = self._tracker.registration(registration)
-        solver = Solver(model, patches, motion, registration, self._config.prior_sigma_m, least)
+        config = self._config
+        solver = Solver(model, seen, motion, registration, config.prior_sigma_m, config.model_sigma_m)
         posterior = solver.solve() if self._tracker is None else self._tracker.answer(solver)
         watch.lap("solve")
         sigma = solver.deviation(posterior)
         watch.lap("uncertainty")
         ratio = model.ratios.ratios[posterior.ratio]
         mean = posterior.mean.cpu().numpy()
-        diagnosis = self._diagnosis(
-            patches,
-            posterior,
-            expected,
-            solver.unexplained(posterior),
-            1.0 - float(kept.mean()),
-        )
+        diagnosis = self._diagnosis(posterior, expected, solver.unexplained(posterior), outliers)
         estimate = ElasticEstimate(
-            model, patches, posterior.residual, ratio, mean, sigma, diagnosis, watch.stages
+            model, posterior.observed, posterior.residual, ratio, mean, sigma, diagnosis, watch.stages
         )
         watch.lap("warp")
         return estimate
 
+    def _seen(
+        self, observation: Observation | BareCloud, model: ElasticModel, watch: Stopwatch
+    ) -> tuple[Matchable, RigidMotion, float]:
+        """Return what is observed, the rigid motion about which the organ is linear at first, the share of outliers."""
+        config = self._config
+        if isinstance(observation, BareCloud):
+            seen = seen_surface(observation)
+            watch.lap("match")
+            found = SurfaceObservation(seen, model.moved_surface, config.prior_sigma_m, config.sensor_bias_m)
+            return found, IDENTITY, 0.0
+        kept = continuous(observation.reference, observation.displacement)
+        patches = average_patches(observation if kept.all() else observation.part(kept), model.lookup)
+        watch.lap("match")
+        motion = fit_patches(patches, config.model_sigma_m)
+        watch.lap("rigid")
+        return ObservedPairs(patches, model, config.prior_sigma_m), motion, 1.0 - float(kept.mean())
+
     def _diagnosis(
         self,
-        patches: ObservedPatches,
         posterior: Posterior,
         expected: RegistrationError,
         unexplained: float,
@@ -196,5 +218,7 @@ class ElasticEstimator(Estimator):
         return Diagnosis(
             found,
             outliers,
-            doubts=doubts(posterior, patches.displacement, unexplained, found, expected, outliers, lost),
+            doubts=doubts(
+                posterior, posterior.observed.displacement, unexplained, found, expected, outliers, lost
+            ),
         )

@@ -4,7 +4,7 @@ from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from threading import Event
 
-from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart, warm_start
+from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
 from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest, unfettered
 from softtissue_estimator.estimators.elastic.relevance import Variances
@@ -89,9 +89,9 @@ def improve(task: Task) -> tuple[Posterior, WarmStart]:
     with one_thread():
         better = _start(task) if task.rigid else _step(task)
         hidden = task.posterior.hidden_variance
-        if hidden is None or task.number % STEPS_PER_HIDDEN_VARIANCE == 0:
-            hidden = task.solver.hidden_variance(better)
-        return better, warm_start(better, hidden)
+        if task.number % STEPS_PER_HIDDEN_VARIANCE == 0:
+            hidden = None
+        return better, task.solver.warm_start(better, hidden)
 
 
 def _start(task: Task) -> Posterior:

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softtissue_estimator.observation.patch_average import ObservedPatches, student_weights
+from softtissue_estimator.estimators.elastic.observed import Observed
+from softtissue_estimator.observation.patch_average import student_weights
 from softtissue_estimator.organ.mesh import FloatArray
 
 MOST_MODEL_SIGMA_M = 0.003
@@ -23,25 +24,25 @@ class Misfit:
 
     Parameters
     ----------
-    patches : ObservedPatches
     least_sigma_m : float
         Error of the model, at least.
     """
 
-    patches: ObservedPatches
     least_sigma_m: float
 
-    def weights(self, residual: FloatArray, sigma: float) -> FloatArray:
+    def weights(self, observed: Observed, residual: FloatArray, sigma: float) -> FloatArray:
         """Weights (c,) of the patches, where the error of the model is so large, m."""
-        weight = student_weights(residual, self.patches.precision_with(sigma))
+        precision = 1.0 / (1.0 / observed.precision + sigma**2)
+        weight = student_weights(residual, precision, observed.components)
         return weight if weight.min() < _OUTLIER_WEIGHT else np.ones_like(weight)
 
-    def unexplained(self, residual: FloatArray, weight: FloatArray) -> float:
+    def unexplained(self, observed: Observed, residual: FloatArray, weight: FloatArray) -> float:
         """Root mean square of what the observation's own noise does not explain of the residual, m."""
-        squared = np.einsum("cd,cd->c", residual, residual) / 3.0
-        unexplained = float(np.average(squared - 1.0 / self.patches.precision, weights=weight))
+        squared = np.einsum("cd,cd->c", residual, residual) / observed.components
+        unexplained = float(np.average(squared - 1.0 / observed.precision, weights=weight * observed.counts))
         return float(np.sqrt(max(unexplained, 0.0)))
 
-    def model_sigma(self, unexplained: float) -> float:
+    def model_sigma(self, observed: Observed, unexplained: float) -> float:
         """Error of the model, m, where the observation leaves so much unexplained, m."""
-        return float(np.clip(MODEL_SIGMA_OVER_MISFIT * unexplained, self.least_sigma_m, MOST_MODEL_SIGMA_M))
+        least = max(self.least_sigma_m, observed.least_sigma_m)
+        return float(np.clip(MODEL_SIGMA_OVER_MISFIT * unexplained, least, MOST_MODEL_SIGMA_M))

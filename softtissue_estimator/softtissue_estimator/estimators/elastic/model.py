@@ -11,6 +11,7 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.estimators.elastic.closest_points import MovedSurface
 from softtissue_estimator.estimators.elastic.elasticity import nodal_volumes
 from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody, RestingBody, to_tensor
 from softtissue_estimator.estimators.elastic.loads import load_basis
@@ -68,6 +69,11 @@ class ElasticModel:
     def nodes(self) -> Tensor:
         """Nodes of the mesh, (n, 3) float64 m, on the device."""
         return to_tensor(self.mesh.nodes, self.device)
+
+    @cached_property
+    def moved_surface(self) -> MovedSurface:
+        """The organ's surface, moved by the nodes."""
+        return MovedSurface(self.organ, self.mesh, self.sample_tet)
 
     def surface_interpolation(self, points: FloatArray) -> csr_array:
         """Interpolate from the nodes to points (k, 3) m near the surface, (k, n); one table access a point."""

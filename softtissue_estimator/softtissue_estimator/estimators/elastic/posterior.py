@@ -7,12 +7,10 @@ import torch
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
+from softtissue_estimator.estimators.elastic.observed import Observed
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.relevance import Amplitudes, Variances
 from softtissue_estimator.organ.mesh import FloatArray
-
-MOST_RELEVANT_LOADS = 40
-"""Loads that a frame considers which follows another one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +35,8 @@ class Posterior:
         For comparison with other posteriors of the same observation.
     registration : RegistrationError
         What was supposed of the registration before; the nuisance parameters are its error.
+    observed : Observed
+        What it is conditioned on, with the matches that were supposed.
     hidden_variance : (n,) float64 m^2 or None
         Of the nodes, by loads that this posterior leaves out; None where it has all loads.
     plausible : bool
@@ -51,18 +51,16 @@ class Posterior:
     ratio: int
     log_evidence: float
     registration: RegistrationError
+    observed: Observed
     hidden_variance: Tensor | None = None
     plausible: bool = True
 
-    def with_relevant_loads(self) -> "Posterior":
-        """Return the same with the loads alone that a frame considers which follows this one."""
-        variances = self.amplitudes.variances
-        count = min(MOST_RELEVANT_LOADS, len(variances))
-        relevant = torch.topk(variances, count).indices.sort().values
-        columns = (3 * relevant[:, None] + torch.arange(3, device=relevant.device)).reshape(-1)
+    def with_loads(self, kept: Tensor) -> "Posterior":
+        """Return the same with some of the loads alone, (l,) their numbers."""
+        columns = (3 * kept[:, None] + torch.arange(3, device=kept.device)).reshape(-1)
         whole = self.tangent
         tangent = Tangent(whole.state, whole.offset, whole.response[:, columns].contiguous())
-        return replace(self, tangent=tangent, amplitudes=self.amplitudes.with_loads(relevant))
+        return replace(self, tangent=tangent, amplitudes=self.amplitudes.with_loads(kept))
 
     @property
     def registration_after(self) -> RegistrationError:
@@ -89,8 +87,10 @@ class WarmStart:
 
     Parameters
     ----------
+    loads : (l,) int64
+        That the next frame considers.
     tangent : Tangent
-        With the response to the relevant loads alone.
+        With the response to these alone.
     variances : Variances
         Of these loads, and of the field of errors.
     all_variances : Variances
@@ -101,6 +101,7 @@ class WarmStart:
         Of the nodes, by the loads that are left out; None where that is not known.
     """
 
+    loads: Tensor
     tangent: Tangent
     variances: Variances
     all_variances: Variances
@@ -109,15 +110,21 @@ class WarmStart:
     hidden_variance: Tensor | None = None
 
 
-def warm_start(posterior: Posterior, hidden_variance: Tensor | None = None) -> WarmStart:
-    """Keep of a posterior over all loads, and of `Solver.hidden_variance`, what the next observation needs."""
-    relevant = posterior.with_relevant_loads()
-    amplitudes = posterior.amplitudes
+def warm_start(posterior: Posterior, leading: Tensor) -> WarmStart:
+    """Keep of a posterior over all loads what the next observation needs.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    leading : (l,) int64
+        Numbers of the loads that it is to consider.
+    """
+    part = posterior.with_loads(leading)
     return WarmStart(
-        relevant.tangent,
-        relevant.amplitudes.prior,
-        amplitudes.prior,
+        leading,
+        part.tangent,
+        part.amplitudes.prior,
+        posterior.amplitudes.prior,
         posterior.model_sigma_m,
         posterior.ratio,
-        hidden_variance,
     )

@@ -128,6 +128,11 @@ class Amplitudes:
         return self.factor[self.field_values :, self.field_values :]
 
     @property
+    def loads_gram(self) -> Tensor:
+        """G of the loads alone, (3 p, 3 p)."""
+        return self.gram[self.field_values : self._end, self.field_values : self._end]
+
+    @property
     def root(self) -> Tensor:
         """D: prior standard deviation of every amplitude of a load, (3 p,)."""
         return self.variances.sqrt().repeat_interleave(3)

@@ -14,6 +14,7 @@ from softtissue_estimator.organ.mesh import FloatArray
 LENGTH_M = 0.025
 """l: millimetres of the error are shared by about this much of a liver's surface, by a stereo camera's matches as by a
 tracker's features."""
+FIRST_SIGMA_M = 0.0005  # standard deviation, before the evidence tells it
 SPACING_M = 0.020  # of centres
 MOST_CENTRES = 60  # where more is seen they are spread wider
 _JITTER = (

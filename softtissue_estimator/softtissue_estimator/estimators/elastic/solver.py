@@ -10,23 +10,17 @@ import torch
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent, to_tensor
-from softtissue_estimator.estimators.elastic.linear_gaussian import (
-    Errors,
-    condition,
-    equal_variances,
-    mean_displacement,
-    standard_deviation,
-)
+from softtissue_estimator.estimators.elastic.leading_loads import leading_loads
+from softtissue_estimator.estimators.elastic.linear_gaussian import equal_variances
 from softtissue_estimator.estimators.elastic.misfit import Misfit
 from softtissue_estimator.estimators.elastic.model import ElasticModel
-from softtissue_estimator.estimators.elastic.observed_nodes import ObservedPlaces
+from softtissue_estimator.estimators.elastic.nodal_sigma import hidden_variance, nodal_sigma
+from softtissue_estimator.estimators.elastic.observed import Matchable, Observed
 from softtissue_estimator.estimators.elastic.plausibility import plausible_fit
-from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
+from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart, warm_start
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest, settled
 from softtissue_estimator.estimators.elastic.relevance import Variances
-from softtissue_estimator.estimators.elastic.smooth_error import field_columns
-from softtissue_estimator.observation.patch_average import ObservedPatches
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import FloatArray
 
@@ -34,16 +28,17 @@ MOST_RATIO_CHANGES = 2
 """Of Poisson's ratio: each makes a step, and one more for every ratio that is tried."""
 VARIANCE_UPDATES = 5  # of the loads, a step
 FIRST_MODEL_SIGMA_M = 0.002  # error of the model in the first step, before there is a residual that shows it
-FIRST_FIELD_SIGMA_M = 0.0005  # of the field of errors, before the evidence tells it
-# What the loads' posterior cannot know: elements and material are wrong by this share of what the organ bends.
-MODEL_ERROR_SHARE = 0.025
-LEAST_VARIANCE_SHARE = 1e-3
-"""Of a load's variance before any observation, which stays in the standard deviation: relevance determination prunes
-the loads that nothing was seen of, and with them the doubt about what is hidden."""
-LEAST_DEVIATION_M = 5e-5  # standard deviation of any answer, for all that the model does not describe
 LEAST_START_SHARE = 1e-2
 """Of a load's variance before any observation, with which a step begins that goes on from earlier ones: an organ at
 rest leaves none, and without any nothing could move it again."""
+REACH_M = 0.006
+"""A surface that was seen farther from the organ than this, where the organ has been found, is none of it."""
+_FIRST_REACH_DEVIATIONS = (
+    3.0  # of the first, coarse errors, that it may be from an organ that is yet to be found
+)
+_FILLED_SHARE = (
+    0.1  # of a load's variance before any observation, with which others complete the relevant ones
+)
 LOST_TRACK_MISFIT_M = 0.0015
 """Where more than this is left unexplained, the organ has moved too far to be followed."""
 _LARGER_MODEL_SIGMA_RATIO = 2.0  # from which on the fit is repeated with the error that its residual shows
@@ -55,9 +50,9 @@ class Solver:
     Parameters
     ----------
     model : ElasticModel
-    patches : ObservedPatches
+    observation : Matchable
     motion : RigidMotion
-        Best rigid motion of these, about which the organ is linear at first.
+        Best rigid motion of what it shows, about which the organ is linear at first.
     registration : RegistrationError
         What is known of it before.
     prior_sigma_m, model_sigma_m : float
@@ -67,17 +62,14 @@ class Solver:
     def __init__(
         self,
         model: ElasticModel,
-        patches: ObservedPatches,
+        observation: Matchable,
         motion: RigidMotion,
         registration: RegistrationError,
         prior_sigma_m: float,
         model_sigma_m: float,
     ) -> None:
-        self._model, self._patches, self._registration = model, patches, registration
-        self._positions = patches.reference + patches.displacement
-        self._prior_sigma_m, self._misfit = prior_sigma_m, Misfit(patches, model_sigma_m)
-        self._places = ObservedPlaces(model.surface_interpolation(patches.reference), model.device)
-        self._field = field_columns(model.nodes.index_select(0, self._places.nodes), patches.reference)
+        self._model, self._observation, self._registration = model, observation, registration
+        self._prior_sigma_m, self._misfit = prior_sigma_m, Misfit(model_sigma_m)
         nodes = model.mesh.nodes
         self._moved = to_tensor(motion.apply(nodes) - nodes, model.device)
         self._rotation = to_tensor(motion.rotation, model.device)
@@ -91,9 +83,10 @@ class Solver:
 
     def unexplained(self, posterior: Posterior) -> float:
         """Return the root mean square of what a posterior leaves and noise does not, m; outliers count little."""
-        return self._misfit.unexplained(
-            posterior.residual, self._misfit.weights(posterior.residual, posterior.model_sigma_m)
-        )
+        return self._misfit.unexplained(posterior.observed, posterior.residual, self._weights(posterior))
+
+    def _weights(self, posterior: Posterior) -> FloatArray:
+        return self._misfit.weights(posterior.observed, posterior.residual, posterior.model_sigma_m)
 
     @property
     def ratios(self) -> frozenset[int]:
@@ -114,23 +107,31 @@ class Solver:
         self, posterior: Posterior, registration: RegistrationError, sigma: float, updates: int
     ) -> Posterior:
         """Explain the observation again about the same state, with another registration or error of the model."""
-        weight = self._misfit.weights(posterior.residual, posterior.model_sigma_m)
-        variances = posterior.amplitudes.prior
         return self._explain(
-            posterior.tangent, registration, variances, sigma, weight, updates, posterior.ratio
+            posterior.observed,
+            posterior.tangent,
+            registration,
+            posterior.amplitudes.prior,
+            sigma,
+            self._weights(posterior),
+            updates,
+            posterior.ratio,
         )
 
-    def follow(self, start: WarmStart) -> Posterior | None:
+    def follow(self, start: WarmStart, predicted: Tensor) -> Posterior | None:
         """Explain the observation about the state of an earlier one, in a few milliseconds.
 
-        None where the organ has moved too far since for that.
+        None where the organ has moved too far since for that. The nodes' displacement is expected to be `predicted`,
+        (n, 3) m.
         """
-        weight, sigma = np.ones(len(self._patches.precision)), start.model_sigma_m
-        least = LEAST_START_SHARE * equal_variances(start.tangent, self._places.nodes, self._prior_sigma_m)
+        observed = self._observation.about(predicted, self._registration, REACH_M)
+        weight, sigma = np.ones(len(observed.precision)), start.model_sigma_m
+        least = LEAST_START_SHARE * equal_variances(start.tangent, observed.nodes, self._prior_sigma_m)
         variances = start.variances.at_least_each(least)
-        for _ in range(2):
+        for _ in range(observed.turns):
             explain = partial(
                 self._explain,
+                observed,
                 start.tangent,
                 self._registration,
                 variances,
@@ -140,26 +141,65 @@ class Solver:
                 # What is larger than all errors before is a motion of the organ.
                 most_field_m=float(start.variances.field.sqrt()),
             )
-            posterior = self._plausible(explain, sigma)
-            weight = self._misfit.weights(posterior.residual, posterior.model_sigma_m)
-            misfit = self._misfit.unexplained(posterior.residual, weight)
+            posterior = self._plausible(explain, sigma, observed)
+            observed, residual = self._matched_anew(posterior)
+            weight = self._misfit.weights(observed, residual, posterior.model_sigma_m)
+            misfit = self._misfit.unexplained(observed, residual, weight)
             # Loads that explained the earlier observation closely explain this one at any price, however far they move
             # what is hidden.
-            sigma = max(sigma, self._misfit.model_sigma(misfit))
-            if weight.min() == 1.0 and sigma <= _LARGER_MODEL_SIGMA_RATIO * posterior.model_sigma_m:
+            sigma = max(sigma, self._misfit.model_sigma(observed, misfit))
+            settled = observed is posterior.observed and weight.min() == 1.0
+            if settled and sigma <= _LARGER_MODEL_SIGMA_RATIO * posterior.model_sigma_m:
                 break
         if misfit >= LOST_TRACK_MISFIT_M:
             return None
         return replace(posterior, hidden_variance=start.hidden_variance)
 
+    def warm_start(self, posterior: Posterior, hidden: Tensor | None = None) -> WarmStart:
+        """Return what the next observation takes of a posterior over all loads.
+
+        Parameters
+        ----------
+        posterior : Posterior
+        hidden : (n,) float64 m^2 or None
+            Variance of the nodes by the loads that are left out, where an earlier one will do.
+        """
+        equal = equal_variances(posterior.tangent, posterior.observed.nodes, self._prior_sigma_m)
+        amplitudes, counts = posterior.amplitudes, posterior.observed.leading_loads
+        leading = leading_loads(amplitudes.variances, _FILLED_SHARE * equal, amplitudes.loads_gram, *counts)
+        start = warm_start(posterior, leading)
+        if hidden is None:
+            hidden = hidden_variance(posterior, start, self._prior_sigma_m)
+        return replace(start, hidden_variance=hidden)
+
+    def _matched_anew(self, posterior: Posterior) -> tuple[Observed, FloatArray]:
+        """Match with the organ as a posterior has it; also what it leaves of the new matches."""
+        registration = posterior.registration.moved_by(posterior.registration_step)
+        observed = posterior.observed.about(posterior.mean, registration, REACH_M)
+        if observed is posterior.observed:
+            return observed, posterior.residual
+        return observed, observed.residual(posterior.mean, posterior.registration, posterior.amplitudes)
+
     def start(self, registration: RegistrationError, updates: int = VARIANCE_UPDATES) -> Posterior:
         """Explain the observation with the organ linear about its rigid motion: the first step of `solve`."""
         tangent = self._model.resting.linearise_moved(self._rotation, self._moved, self._rest)
-        weight = np.ones(len(self._patches.precision))
         ratio = self._model.ratios.expected
+        variances: Variances | None = None
+        sigmas = self._observation.first_sigmas_m
+        first = _FIRST_REACH_DEVIATIONS * (sigmas[0] if sigmas else math.inf)
+        observed = self._observation.about(self._moved, registration, first)
+        for sigma in sigmas:
+            weight = np.ones(len(observed.precision))
+            posterior = self._explain(observed, tangent, registration, variances, sigma, weight, 1, ratio)
+            variances = posterior.amplitudes.prior
+            observed = observed.about(posterior.mean, registration, _FIRST_REACH_DEVIATIONS * sigma)
+        weight = np.ones(len(observed.precision))
         return self._plausible(
-            lambda sigma: self._explain(tangent, registration, None, sigma, weight, updates, ratio),
+            lambda sigma: self._explain(
+                observed, tangent, registration, variances, sigma, weight, updates, ratio
+            ),
             FIRST_MODEL_SIGMA_M,
+            observed,
         )
 
     def _improve_by_choice(self, posterior: Posterior) -> Posterior:
@@ -203,67 +243,37 @@ class Solver:
         if registration is None:
             registration = posterior.registration.moved_by(posterior.registration_step)
         ratio = posterior.ratio if ratio is None else ratio
-        residual = posterior.residual
-        weight = self._misfit.weights(residual, posterior.model_sigma_m)
+        observed, residual = self._matched_anew(posterior)
+        weight = self._misfit.weights(observed, residual, posterior.model_sigma_m)
         body = self._model.body
         state = body.guarded(posterior.tangent.state, posterior.mean) if guarded else posterior.mean
         tangent = body.linearise(state, self._rest, self._model.ratios.ratios[ratio])
         if variances is None:
             begin = posterior.amplitudes.prior
         else:
-            least = LEAST_START_SHARE * equal_variances(tangent, self._places.nodes, self._prior_sigma_m)
+            least = LEAST_START_SHARE * equal_variances(tangent, observed.nodes, self._prior_sigma_m)
             begin = variances.at_least_each(least)
         return self._plausible(
-            lambda sigma: self._explain(tangent, registration, begin, sigma, weight, VARIANCE_UPDATES, ratio),
-            self._misfit.model_sigma(self._misfit.unexplained(residual, weight)),
+            lambda sigma: self._explain(
+                observed, tangent, registration, begin, sigma, weight, VARIANCE_UPDATES, ratio
+            ),
+            self._misfit.model_sigma(observed, self._misfit.unexplained(observed, residual, weight)),
+            observed,
         )
-
-    def _displacement(self, registration: RegistrationError) -> FloatArray:
-        """Observed displacement of each patch with what is supposed of the registration taken out, (c, 3) m."""
-        return registration.corrected(self._positions) - self._patches.reference
-
-    def _errors(
-        self, tangent: Tangent, registration: RegistrationError, most_field_m: float = math.inf
-    ) -> Errors:
-        """Return what moves the observed points without moving the organ."""
-        positions = (self._model.nodes + tangent.state).index_select(0, self._places.nodes)
-        return Errors(self._field, registration.columns(positions), most_field_m)
 
     def deviation(self, posterior: Posterior) -> FloatArray:
         """Return the standard deviation of each component at the nodes, (n,) m."""
-        if posterior.hidden_variance is None:
-            linear = self._doubting_variance(posterior)
-        else:
-            found = standard_deviation(posterior.tangent, posterior.amplitudes)
-            linear = found.square() + posterior.hidden_variance
-        bent = torch.linalg.vector_norm(posterior.mean - self._moved, dim=1)
-        variance = linear + (MODEL_ERROR_SHARE * bent).square() + LEAST_DEVIATION_M**2
-        return np.asarray(variance.sqrt().cpu().numpy(), dtype=np.float64)
+        return nodal_sigma(posterior, self._moved, self._prior_sigma_m)
 
-    def hidden_variance(self, posterior: Posterior) -> Tensor:
-        """Return what the loads that the next frame leaves out add to the nodes' variance, (n,) m^2.
-
-        Parameters
-        ----------
-        posterior : Posterior
-            With all loads.
-        """
-        relevant = posterior.with_relevant_loads()
-        found = standard_deviation(relevant.tangent, relevant.amplitudes)
-        return (self._doubting_variance(posterior) - found.square()).clamp_min(0.0)
-
-    def _doubting_variance(self, posterior: Posterior) -> Tensor:
-        """Return the nodes' variance with a least variance of every load, (n,) m^2; the posterior has all loads."""
-        equal = equal_variances(posterior.tangent, self._places.nodes, self._prior_sigma_m)
-        amplitudes = posterior.amplitudes.with_least_variances(LEAST_VARIANCE_SHARE * equal)
-        return standard_deviation(posterior.tangent, amplitudes).square()
-
-    def _plausible(self, fit: Callable[[float], Posterior], model_sigma_m: float) -> Posterior:
-        posterior, plausible = plausible_fit(fit, model_sigma_m, self._model.body, self._patches.displacement)
+    def _plausible(
+        self, fit: Callable[[float], Posterior], model_sigma_m: float, observed: Observed
+    ) -> Posterior:
+        posterior, plausible = plausible_fit(fit, model_sigma_m, self._model.body, observed.displacement)
         return replace(posterior, plausible=plausible)
 
     def _explain(
         self,
+        observed: Observed,
         tangent: Tangent,
         registration: RegistrationError,
         variances: Variances | None,
@@ -273,16 +283,17 @@ class Solver:
         ratio: int,
         most_field_m: float = math.inf,
     ) -> Posterior:
-        precision = weight * self._patches.precision_with(sigma)
-        displacement = self._displacement(registration)
-        if variances is None:
-            loads = equal_variances(tangent, self._places.nodes, self._prior_sigma_m)
-            variances = Variances(loads, loads.new_tensor(FIRST_FIELD_SIGMA_M**2))
-        errors = self._errors(tangent, registration, most_field_m)
-        observed = self._places.sum_up(displacement, precision)
-        amplitudes, evidence = condition(tangent, observed, errors, variances, updates)
-        evidence += 1.5 * float(np.log(precision).sum()) + self._model.ratios.log_probability[ratio]
-        mean = mean_displacement(tangent, amplitudes)
-        shown = mean.index_select(0, self._places.nodes) + errors.displacement(amplitudes)
-        residual = displacement - self._places.at(shown)
-        return Posterior(tangent, amplitudes, mean, residual, sigma, ratio, evidence, registration)
+        precision = weight / (1.0 / observed.precision + sigma**2)
+        found = observed.condition(tangent, registration, precision, variances, updates, most_field_m)
+        evidence = found.log_evidence + self._model.ratios.log_probability[ratio]
+        return Posterior(
+            tangent,
+            found.amplitudes,
+            found.mean,
+            found.residual,
+            sigma,
+            ratio,
+            evidence,
+            registration,
+            observed,
+        )

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from softtissue_estimator.estimators.elastic.improvement import Task, improve
-from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart, warm_start
+from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
 from softtissue_estimator.estimators.elastic.relevance import Variances
@@ -56,6 +56,8 @@ class _Memory:
         Stamp of the newest observation that a step was made about.
     steps : int
         That the thread was given since it was about a rigid motion.
+    mean : (n, 3) float64 m or None
+        Displacement of the nodes in the newest answer.
     """
 
     state: WarmStart | None = None
@@ -65,6 +67,7 @@ class _Memory:
     settled: int = 0
     stepped_s: float = 0.0
     steps: int = 0
+    mean: torch.Tensor | None = None
 
 
 class ElasticTracker:
@@ -157,11 +160,14 @@ class ElasticTracker:
         with self._lock:
             memory, registration = self._memory, self._registration
         # One cloud that nothing before suggests may have been wrong: the next one says whether the organ did move so.
-        if memory.before_loss is not None and solver.follow(memory.before_loss) is not None:
+        if (
+            memory.before_loss is not None
+            and solver.follow(memory.before_loss, memory.before_loss.tangent.state) is not None
+        ):
             memory = self._return_to(memory)
         memory = replace(memory, before_loss=None)
         earlier = memory.state
-        posterior = None if earlier is None else solver.follow(earlier)
+        posterior = None if earlier is None else solver.follow(earlier, _predicted(memory, earlier))
         if posterior is None or earlier is None:
             before_loss = memory.before_loss if memory.rigid else earlier
             posterior, state = self._start(solver)
@@ -172,6 +178,7 @@ class ElasticTracker:
             # Loads that have become irrelevant get a little back, so that a new one can be found.
             variances = earlier.all_variances.at_least(_LEAST_VARIANCE_SHARE)
             still = not memory.rigid and _distance(posterior.mean, earlier.tangent.state) < _STILL_DISTANCE_M
+        memory = replace(memory, mean=posterior.mean)
         if not still:
             memory = replace(memory, settled=0)
         self._keep(memory, registration, solver, posterior, variances, still)
@@ -210,9 +217,8 @@ class ElasticTracker:
     def _start(self, solver: Solver) -> tuple[Posterior, WarmStart]:
         """Explain an observation about its rigid motion; what comes next follows this answer, which takes long."""
         posterior = solver.start(solver.registration, _START_VARIANCE_UPDATES)
-        hidden = solver.hidden_variance(posterior)
-        posterior = replace(posterior, hidden_variance=hidden)
-        return posterior, warm_start(posterior, hidden)
+        state = solver.warm_start(posterior)
+        return replace(posterior, hidden_variance=state.hidden_variance), state
 
     def _return_to(self, memory: _Memory) -> _Memory:
         """Go on from before a loss; what the thread makes of observations since is not taken."""
@@ -243,6 +249,11 @@ class ElasticTracker:
         with self._lock:
             self._closed = True
         self._executor.shutdown(wait=False, cancel_futures=True)
+
+
+def _predicted(memory: _Memory, earlier: WarmStart) -> torch.Tensor:
+    """Displacement (n, 3) m that the next observation is expected to show."""
+    return earlier.tangent.state if memory.mean is None else memory.mean
 
 
 def _is_due(task: Task, stamp_s: float, frames: int) -> bool:

@@ -12,7 +12,7 @@ from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.elastic import plausibility
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
-from softtissue_estimator.estimators.elastic.solver import LEAST_DEVIATION_M
+from softtissue_estimator.estimators.elastic.nodal_sigma import LEAST_DEVIATION_M
 from softtissue_estimator.observation.observation import Observation, make_observation
 from softtissue_estimator.observation.rigid import fit_rigid
 from softtissue_estimator.organ.mesh import SurfaceMesh, sample_faces

@@ -1,6 +1,7 @@
 """The fast posterior against the dense formulae it stands for."""
 
 import dataclasses
+from typing import cast
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from estimator.linear_stiffness import averaged_stiffness
 from estimator.shapes import box_tets
 from softtissue_estimator.estimators.elastic import loads, smooth_error
 from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody
+from softtissue_estimator.estimators.elastic.leading_loads import leading_loads
 from softtissue_estimator.estimators.elastic.linear_gaussian import (
     LEAST_FIELD_SIGMA_M,
     Errors,
@@ -21,6 +23,7 @@ from softtissue_estimator.estimators.elastic.linear_gaussian import (
     standard_deviation,
 )
 from softtissue_estimator.estimators.elastic.loads import load_basis
+from softtissue_estimator.estimators.elastic.observed import Observed
 from softtissue_estimator.estimators.elastic.observed_nodes import ObservedPlaces
 from softtissue_estimator.estimators.elastic.posterior import Posterior
 from softtissue_estimator.estimators.elastic.registration_error import expected_error
@@ -227,8 +230,7 @@ def test_evidence_compares_as_the_densities_of_the_dense_gaussian_process():
     assert (np.abs(np.diff(expected)) > 1.0).all()
 
 
-def test_relevant_loads_alone_leave_the_doubt_of_the_dense_gaussian_process(monkeypatch):
-    monkeypatch.setattr("softtissue_estimator.estimators.elastic.posterior.MOST_RELEVANT_LOADS", 5)
+def test_relevant_loads_alone_leave_the_doubt_of_the_dense_gaussian_process():
     data = observed(noise=0.001)
     summed = told(data)
     of_loads = equal_variances(TANGENT, summed.nodes, 0.015)
@@ -239,8 +241,9 @@ def test_relevant_loads_alone_leave_the_doubt_of_the_dense_gaussian_process(monk
     amplitudes, evidence = condition(TANGENT, summed, FIELD_ALONE, variances(of_loads), updates=0)
     mean = mean_displacement(TANGENT, amplitudes)
     registration = expected_error(np.zeros(3), 0.005, 0.05)
-    whole = Posterior(TANGENT, amplitudes, mean, data, 0.001, 0, evidence, registration)
-    relevant = whole.with_relevant_loads()
+    nothing = cast(Observed, None)
+    whole = Posterior(TANGENT, amplitudes, mean, data, 0.001, 0, evidence, registration, nothing)
+    relevant = whole.with_loads(leading_loads(of_loads, 0.0 * of_loads, amplitudes.loads_gram, 5, 0))
     assert torch.equal(relevant.amplitudes.variances, of_loads[strong])
     np.testing.assert_allclose(
         mean_displacement(relevant.tangent, relevant.amplitudes).numpy(), mean.numpy(), atol=1e-6

@@ -6,6 +6,7 @@ import pytest
 from estimator.shapes import ellipsoid, organ_of
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
+from softtissue_estimator.estimators.elastic.observed_pairs import ObservedPairs
 from softtissue_estimator.estimators.elastic.registration_error import told_error
 from softtissue_estimator.estimators.elastic.registration_scale import DOUBT_FACTOR, unfettered
 from softtissue_estimator.estimators.elastic.solver import Solver
@@ -32,7 +33,8 @@ def explained(model, drift):
     patches = average_patches(Observation(points, moved, np.full(len(points), 0.0005)), model.lookup)
     registration = told_error(ORGAN.centre, np.diag([0.0003**2] * 3 + [0.003**2] * 3))
     motion = fit_patches(patches, CONFIG.model_sigma_m)
-    solver = Solver(model, patches, motion, registration, CONFIG.prior_sigma_m, CONFIG.model_sigma_m)
+    pairs = ObservedPairs(patches, model, CONFIG.prior_sigma_m)
+    solver = Solver(model, pairs, motion, registration, CONFIG.prior_sigma_m, CONFIG.model_sigma_m)
     return solver, solver.solve()
 
 

@@ -1,0 +1,60 @@
+"""Standard deviation of an answer at the nodes: of loads, of those that a frame leaves out, and of the model itself."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from softtissue_estimator.estimators.elastic.linear_gaussian import equal_variances, standard_deviation
+from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
+from softtissue_estimator.organ.mesh import FloatArray
+
+# What the loads' posterior cannot know: elements and material are wrong by this share of what the organ bends.
+MODEL_ERROR_SHARE = 0.025
+LEAST_VARIANCE_SHARE = 1e-3
+"""Of a load's variance before any observation, which stays in the standard deviation: relevance determination prunes
+the loads that nothing was seen of, and with them the doubt about what is hidden."""
+LEAST_DEVIATION_M = 5e-5  # standard deviation of any answer, for all that the model does not describe
+
+
+def nodal_sigma(posterior: Posterior, moved: Tensor, prior_sigma_m: float) -> FloatArray:
+    """Return the standard deviation of each component at the nodes, (n,) m.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    moved : (n, 3) float64 m
+        Displacement of the nodes without bending.
+    prior_sigma_m : float
+        As in `EstimatorConfig`.
+    """
+    if posterior.hidden_variance is None:
+        linear = _doubting_variance(posterior, prior_sigma_m)
+    else:
+        found = standard_deviation(posterior.tangent, posterior.amplitudes)
+        linear = found.square() + posterior.hidden_variance
+    bent = torch.linalg.vector_norm(posterior.mean - moved, dim=1)
+    variance = linear + (MODEL_ERROR_SHARE * bent).square() + LEAST_DEVIATION_M**2
+    return np.asarray(variance.sqrt().cpu().numpy(), dtype=np.float64)
+
+
+def hidden_variance(posterior: Posterior, start: WarmStart, prior_sigma_m: float) -> Tensor:
+    """Return what the loads that the next frame leaves out add to the nodes' variance, (n,) m^2.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        With all loads.
+    start : WarmStart
+        What the next frame takes of it.
+    prior_sigma_m : float
+        As in `EstimatorConfig`.
+    """
+    found = standard_deviation(start.tangent, posterior.amplitudes.with_loads(start.loads))
+    return (_doubting_variance(posterior, prior_sigma_m) - found.square()).clamp_min(0.0)
+
+
+def _doubting_variance(posterior: Posterior, prior_sigma_m: float) -> Tensor:
+    """Return the nodes' variance with a least variance of every load, (n,) m^2; the posterior has all loads."""
+    equal = equal_variances(posterior.tangent, posterior.observed.nodes, prior_sigma_m)
+    amplitudes = posterior.amplitudes.with_least_variances(LEAST_VARIANCE_SHARE * equal)
+    return standard_deviation(posterior.tangent, amplitudes).square()

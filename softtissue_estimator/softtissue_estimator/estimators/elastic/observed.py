@@ -1,0 +1,129 @@
+"""What the solver asks of an observation, whatever kind it is: pairs that are given, or a surface to be matched."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from torch import Tensor
+
+from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
+from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
+from softtissue_estimator.estimators.elastic.relevance import Amplitudes, Variances
+from softtissue_estimator.organ.mesh import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Conditioned:
+    """Loads, conditioned on an observation.
+
+    Parameters
+    ----------
+    amplitudes : Amplitudes
+    mean : (n, 3) float64 m
+        Displacement of the nodes.
+    residual : (c, 3) m
+        What is left of each patch.
+    log_evidence : float
+        Of the observation.
+    """
+
+    amplitudes: Amplitudes
+    mean: Tensor
+    residual: FloatArray
+    log_evidence: float
+
+
+class Matchable(Protocol):
+    """An observation that is matched with the organ as it is estimated."""
+
+    @property
+    def first_sigmas_m(self) -> tuple[float, ...]:
+        """Errors of the model with which it is matched about rest, from coarse to fine; none where pairs are given."""
+
+    @property
+    def turns(self) -> int:
+        """How often a frame that follows another one explains it, at most."""
+
+    @property
+    def leading_loads(self) -> tuple[int, int]:
+        """How many loads such a frame considers: the most relevant ones, and others that complete them."""
+
+    @property
+    def least_sigma_m(self) -> float:
+        """Error of the model that its patches show at least, m, on top of the configuration's."""
+
+    def about(self, mean: Tensor, registration: RegistrationError, reach_m: float) -> Observed:
+        """Match it with the organ.
+
+        Parameters
+        ----------
+        mean : (n, 3) float64 m
+            Displacement of the nodes.
+        registration : RegistrationError
+            What is supposed of it.
+        reach_m : float
+            What is farther from the organ is none of it.
+
+        Raises
+        ------
+        InvalidInputError
+            If next to nothing is near the organ.
+        """
+
+
+class Observed(Matchable, Protocol):
+    """Patches of surface that were observed, matched.
+
+    Attributes
+    ----------
+    precision : (c,) 1/m^2
+        Inverse variance of each observed component by the noise alone.
+    counts : (c,)
+        One where the patch belongs to the organ, else zero.
+    components : int
+        That are observed of each patch: 3, or 1 along the normal.
+    nodes : (s,) int64
+        That the patches lie between.
+    """
+
+    precision: FloatArray
+    counts: FloatArray
+    components: int
+    nodes: Tensor
+
+    @property
+    def reference(self) -> FloatArray:
+        """Where the patches that count were on the preoperative surface, (k, 3) m."""
+
+    @property
+    def displacement(self) -> FloatArray:
+        """How far these have moved, (k, 3) m, as the registration has it."""
+
+    def condition(
+        self,
+        tangent: Tangent,
+        registration: RegistrationError,
+        precision: FloatArray,
+        variances: Variances | None,
+        updates: int,
+        most_field_m: float,
+    ) -> Conditioned:
+        """Condition loads and errors on what is observed.
+
+        Parameters
+        ----------
+        tangent : Tangent
+        registration : RegistrationError
+        precision : (c,) 1/m^2
+            Inverse variance of each observed component.
+        variances : Variances or None
+            To start from; None for those before any observation.
+        updates : int
+            Of the variances.
+        most_field_m : float
+            Standard deviation of the field of errors, at most, m.
+        """
+
+    def residual(self, mean: Tensor, registration: RegistrationError, amplitudes: Amplitudes) -> FloatArray:
+        """Return what a displacement (n, 3) m and the errors of a posterior leave of each patch, (c, 3) m."""

@@ -1,0 +1,161 @@
+"""Clouds without correspondences: nearest points, equations along normals, streams."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from estimator.shapes import ellipsoid, organ_of
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
+from softtissue_estimator.estimators.elastic.linear_gaussian import mean_displacement
+from softtissue_estimator.estimators.elastic.observed_surface import SurfaceObservation
+from softtissue_estimator.estimators.elastic.registration_error import told_error
+from softtissue_estimator.observation.bare_cloud import BareCloud
+from softtissue_estimator.observation.seen_surface import seen_surface
+from softtissue_estimator.organ.mesh import sample_faces
+
+AXES = np.array([0.08, 0.05, 0.04])
+SURFACE = ellipsoid(tuple(AXES), subdivisions=3)
+ORGAN = organ_of(SURFACE, SURFACE.vertices[:, 0] < -0.055)
+CONFIG = EstimatorConfig(poisson_ratio_sigma=0.0)
+TOP = sample_faces(SURFACE, SURFACE.triangles[:, :, 2].mean(axis=1) > 0.01, 0.002)[0]
+CAMERA = np.array([0.0, 0.0, 0.3])
+
+
+@pytest.fixture(scope="module")
+def model():
+    return ElasticEstimator(CONFIG).precompute(ORGAN)
+
+
+def bent(points, size):
+    lever = np.maximum(points[:, 0] + 0.05, 0.0)
+    return np.column_stack([0.0 * lever, 0.0 * lever, size * lever**2])
+
+
+def seen(size, rng, noise=0.0003):
+    points = TOP + bent(TOP, size)
+    return BareCloud(points + rng.normal(scale=noise, size=points.shape), np.full(len(points), noise), CAMERA)
+
+
+def exact(model):
+    return told_error(model.organ.centre, np.zeros((6, 6)))
+
+
+def observation(model, cloud):
+    return SurfaceObservation(
+        seen_surface(cloud), model.moved_surface, CONFIG.prior_sigma_m, CONFIG.sensor_bias_m
+    )
+
+
+def test_nearest_points_of_a_moved_surface_are_those_of_its_triangles(model):
+    displacement = bent(model.mesh.nodes, 2.0)
+    moved = SURFACE.vertices + model.mesh.interpolation(SURFACE.vertices) @ displacement
+    rng = np.random.default_rng(1)
+    places = moved[rng.choice(len(moved), 300)] + rng.normal(scale=0.002, size=(300, 3))
+    found = model.moved_surface.closest(displacement, places, np.zeros_like(places), oriented=True)
+    import igl
+
+    squared, _, closest = igl.point_mesh_squared_distance(places, moved, SURFACE.faces)
+    along = np.abs(np.einsum("cd,cd->c", found.normal, places - found.position))
+    np.testing.assert_allclose(along, np.sqrt(squared), atol=3e-4)
+    assert np.linalg.norm(found.position - closest, axis=1).max() < 0.003
+    nodal = np.einsum("ck,ckd->cd", found.weights, displacement[found.nodes])
+    np.testing.assert_allclose(found.reference + nodal, found.position, atol=1e-12)
+
+
+def test_only_what_faces_the_same_way_and_is_near_counts(model):
+    rest = torch.zeros_like(model.nodes)
+    wall = TOP + np.array([0.0, 0.0, 0.02])
+    cloud = BareCloud(np.concatenate([TOP, wall]), np.full(2 * len(TOP), 0.0003), CAMERA)
+    counts = observation(model, cloud).about(rest, exact(model), 0.006).counts
+    positions = seen_surface(cloud).position
+    on_organ = np.square(positions / AXES).sum(axis=1) < 1.2
+    assert counts[on_organ].mean() > 0.95
+    assert counts[~on_organ].max() == 0.0
+    from_below = dataclasses.replace(cloud, viewpoint=-CAMERA)
+    with pytest.raises(InvalidInputError, match=r"cloud: expected at least 10 cells of 5 mm within 6 mm"):
+        observation(model, from_below).about(rest, exact(model), 0.006)
+
+
+def test_posterior_is_that_of_a_dense_gaussian_process_along_the_normals(model):
+    matched = observation(model, seen(0.5, np.random.default_rng(2))).about(
+        torch.zeros_like(model.nodes), exact(model), 0.01
+    )
+    tangent = model.resting.linearise_moved(
+        torch.eye(3, dtype=torch.float64), torch.zeros_like(model.nodes), torch.zeros_like(model.nodes)
+    )
+    precision = 1.0 / (1.0 / matched.precision + 0.001**2)
+    found = matched.condition(tangent, exact(model), precision, None, 0, 0.0005)
+    used = matched.counts > 0.0
+    pairs = matched._pairs
+    rows = np.zeros((int(used.sum()), 3 * len(model.nodes)))
+    for row, (nodes, weights, normal) in enumerate(
+        zip(pairs.nodes[used], pairs.weights[used], pairs.normal[used], strict=True)
+    ):
+        for node, weight in zip(nodes, weights, strict=True):
+            rows[row, 3 * node : 3 * node + 3] += weight * normal
+    response = tangent.response.double().numpy()
+    root = np.repeat(np.sqrt(found.amplitudes.variances.numpy()), 3)
+    prior = (response * root) @ (response * root).T
+    field = matched._whole.field.numpy()[used]
+    noise = 0.0005**2 * field @ field.T + np.diag(1.0 / precision[used])
+    told = np.einsum("cd,cd->c", pairs.normal, matched._whole.seen.position - pairs.reference)[used]
+    gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + noise)
+    expected = (gain @ (told - rows @ tangent.offset.numpy().ravel())).reshape(-1, 3) + tangent.offset.numpy()
+    np.testing.assert_allclose(found.mean.numpy(), expected, atol=2e-5)
+    np.testing.assert_allclose(
+        matched.residual(found.mean, exact(model), found.amplitudes), found.residual, atol=1e-12
+    )
+    assert np.abs(mean_displacement(tangent, found.amplitudes).numpy()).max() > 0.001
+
+
+def test_a_stream_of_bare_clouds_is_followed_from_rest():
+    estimator = ElasticEstimator(dataclasses.replace(CONFIG, tracking=True, tracking_patience_s=60.0))
+    estimator.load_organ(ORGAN)
+    try:
+        rng = np.random.default_rng(7)
+        inner = 0.5 * SURFACE.vertices[SURFACE.vertices[:, 0] > 0.0]
+        for frame, size in enumerate(np.concatenate([[0.0, 0.0], np.linspace(0.0, 1.0, 10)])):
+            cloud = dataclasses.replace(seen(size, rng), stamp_s=1.0 + 0.2 * frame)
+            answer = estimator.estimate(cloud)
+        moved, sigma = answer.displacement_at(inner)
+        error = np.linalg.norm(moved - bent(inner, 1.0), axis=1)
+        assert np.linalg.norm(bent(inner, 1.0), axis=1).mean() > 0.004
+        assert error.mean() < 0.002
+        assert sigma.mean() < 0.005
+        assert not answer.diagnosis.doubts
+    finally:
+        estimator.close()
+
+
+def test_a_bare_cloud_on_its_own_is_explained():
+    truth, organ = pushed_case()
+    estimator = ElasticEstimator(CONFIG)
+    estimator.load_organ(organ)
+    cloud = BareCloud(truth["seen"], np.full(len(truth["seen"]), 0.0005), CAMERA)
+    answer = estimator.estimate(cloud)
+    moved, _ = answer.displacement_at(truth["inner"])
+    error = np.linalg.norm(moved - truth["displacement"], axis=1).mean()
+    assert error < 0.5 * np.linalg.norm(truth["displacement"], axis=1).mean()
+
+
+def pushed_case():
+    points = TOP
+    inner = 0.5 * SURFACE.vertices[SURFACE.vertices[:, 0] > 0.0]
+    return (
+        {"seen": points + bent(points, 1.5), "inner": inner, "displacement": bent(inner, 1.5)},
+        ORGAN,
+    )
+
+
+def test_a_cloud_far_from_the_organ_is_refused():
+    estimator = ElasticEstimator(CONFIG)
+    estimator.load_organ(ORGAN)
+    far = BareCloud(TOP + np.array([0.0, 0.0, 0.5]), np.full(len(TOP), 0.001), None)
+    with pytest.raises(
+        InvalidInputError, match=r"expected at least 10 cells of 5 mm within 60 mm of the organ, got 0"
+    ):
+        estimator.estimate(far)
