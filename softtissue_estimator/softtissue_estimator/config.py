@@ -67,9 +67,28 @@ class EstimatorConfig:
         unit="s",
         limits=(0.0, 3600.0),
     )
+    matching: str = _setting(
+        "auto",
+        "How clouds are matched with the preoperative surface: 'given' by correspondences that come with them, "
+        "'tracks' by a field `id`, 'closest' by the nearest surface whatever they carry; 'auto' by what each carries.",
+        choices=("auto", "given", "tracks", "closest"),
+    )
+    organ_label: int = _setting(
+        -1,
+        "Value of a cloud's field `label` that says that a point is of the organ; others are left out of a cloud "
+        "without correspondences. -1: the field says nothing.",
+        limits=(-1, 2**31 - 1),
+    )
+    viewpoint: str = _setting(
+        "auto",
+        "From where a cloud without correspondences was seen: 'camera' is the origin of its frame, 'none' unknown; "
+        "'auto' is 'camera' for clouds of a camera whose pose is told, and in frames whose name ends in _optical or "
+        "_optical_frame.",
+        choices=("auto", "camera", "none"),
+    )
     default_sigma_m: float = _setting(
         0.001,
-        "Standard deviation of each component of a correspondence that states none.",
+        "Standard deviation of each component of a correspondence that states none, and of a point without one.",
         unit="m",
         limits=(1e-5, 0.05),
     )
@@ -112,15 +131,15 @@ class EstimatorConfig:
     )
     tf_timeout_s: float = _setting(
         0.1,
-        "How long a cloud waits for a transform at its stamp; other clouds go on meanwhile.",
+        "How long a cloud waits for a transform, or a camera's pose, at its stamp; other clouds go on meanwhile.",
         unit="s",
         limits=(0.0, 2.0),
     )
     registration_max_age_s: float = _setting(
         0.5,
-        "A pose that moves may be this much older than its cloud: of tf2 such an answer is DEGRADED, and a cloud is "
-        "refused beyond it; of a topic answers are DEGRADED beyond it. Static transforms and registrations that are "
-        "published once hold on.",
+        "A pose that moves may be this much older than its cloud: of tf2 or `camera_pose` such an answer is DEGRADED, "
+        "and a cloud is refused beyond it; of a registration answers are DEGRADED beyond it. Static transforms and "
+        "registrations that are published once hold on.",
         unit="s",
         limits=(0.0, 3600.0),
     )

@@ -45,6 +45,7 @@ MESSAGES = {
         estimator="elastic",
         device="cuda:0",
         organ="Phantom liver – Größe 2",
+        matching="tracks",
         visible_fraction=0.03125,
         points_used=40_000,
         points_rejected=17,

@@ -145,7 +145,7 @@ def test_registration_that_is_not_used_and_frames_that_move_by_tf_are_not_notice
 
         def lookup(self, cloud_frame, organ_frame, stamp_ns):
             self.shift += 0.001
-            return Lookup(registration_message(moved(self.shift)))
+            return Lookup(moved(self.shift))
 
     stream = Stream(scene)
     stream.show(frame="organ")

@@ -17,11 +17,11 @@ from integration.harness import Scene, write_organ
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.observation.observation import make_observation
 from softtissue_estimator.organ.mesh import SurfaceMesh
-from softtissue_estimator.ros.frames import Frame, tracked_points
 from softtissue_estimator.ros.inputs.conversions import read_cloud
 from softtissue_estimator.ros.inputs.registration import transform_points
 from softtissue_estimator.ros.outputs.answer_buffer import AnswerBuffer
 from softtissue_estimator.ros.outputs.markers import MarkerBuffer
+from softtissue_estimator.ros.questions import tracked_points
 
 
 def executed(work):
@@ -60,11 +60,11 @@ def test_taking_a_cloud_in(folder, with_pairs):
         organ = scene.organ
         assert organ.surface_lookup, "made once an organ"
         cloud = scene.bare_cloud(0) if with_pairs else scene.cloud(0)
-        frame = Frame(cloud, scene.pairs(0) if with_pairs else None, 0.0, 0)
+        pairs = scene.pairs(0) if with_pairs else None
 
         def work():
-            read = read_cloud(frame.cloud)
-            points, reference, sigma = tracked_points(frame, read, organ.frame)
+            read = read_cloud(cloud)
+            points, reference, sigma = tracked_points(pairs, read, organ.frame)
             make_observation(transform_points(np.eye(4), points), reference, sigma, organ, config)
 
         work()  # what libraries and caches do the first time

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.diagnosis import Diagnosis
+from softtissue_estimator.observation.bare_cloud import BareCloud
 from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.organ.organ import Organ
 
@@ -36,12 +37,16 @@ class Estimate(ABC):
         Seconds that each stage took, in order.
     diagnosis : Diagnosis
         What it says about the observation.
+    seen : (c, 3) float64 or None
+        Places on the preoperative surface that a cloud without correspondences was found to show, m; None where the
+        correspondences say it.
     """
 
     displacement: FloatArray
     sigma: FloatArray | None
     stages: dict[str, float]
     diagnosis: Diagnosis = Diagnosis()
+    seen: FloatArray | None = None
 
     @abstractmethod
     def displacement_at(self, points: FloatArray) -> tuple[FloatArray, FloatArray | None]:
@@ -122,6 +127,18 @@ class Estimator(ABC):
         InvalidInputError
             If no organ is loaded or the observation cannot be used.
         """
+
+    def estimate_bare(self, cloud: BareCloud) -> Estimate:
+        """Answer a cloud without correspondences.
+
+        Raises
+        ------
+        InvalidInputError
+            As `estimate`; of most estimators always, as they need correspondences.
+        """
+        raise InvalidInputError(
+            f"estimator {self.name}: expected a cloud with correspondences, got one without, which 'elastic' answers"
+        )
 
     def forget(self) -> None:  # noqa: B027 (most estimators remember nothing)
         """Forget earlier observations, where an estimator answers each about the one before."""

@@ -2,8 +2,12 @@
 
 import numpy as np
 
+from softtissue_estimator.observation.bare_cloud import CELL_M
 from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.organ.mesh import FloatArray, IntArray
 from softtissue_estimator.organ.organ import Organ
+
+_AROUND = 0.5 * CELL_M * np.vstack([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
 
 
 def visible_fraction(organ: Organ, observation: Observation) -> float:
@@ -24,8 +28,30 @@ def visible_fraction(organ: Organ, observation: Observation) -> float:
     float
         0 to 1.
     """
+    return _share(organ, observation.nearest_sample(organ.surface_lookup))
+
+
+def seen_fraction(organ: Organ, places: FloatArray) -> float:
+    """Share of the surface area that was seen, where the points of each small cell have been averaged.
+
+    Parameters
+    ----------
+    organ : Organ
+    places : (c, 3) m
+        On the preoperative surface, each for the piece of surface in a cell of `bare_cloud.CELL_M`.
+
+    Returns
+    -------
+    float
+        0 to 1.
+    """
+    # Each stands for what lies around it, too: cells and patches do not coincide.
+    around = (places[:, None, :] + _AROUND).reshape(-1, 3)
+    return _share(organ, organ.surface_lookup.nearest_sample(around))
+
+
+def _share(organ: Organ, sample: IntArray) -> float:
     lookup = organ.surface_lookup
-    sample = observation.nearest_sample(lookup)
     visible = np.zeros(len(lookup.patch_areas), dtype=np.bool_)
     visible[lookup.patch.take(sample[sample >= 0])] = True
     return float(lookup.patch_areas[visible].sum() / lookup.patch_areas.sum())

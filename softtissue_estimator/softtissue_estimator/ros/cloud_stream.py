@@ -75,6 +75,7 @@ class CloudStream:
             self._counters,
             self._registration,
             lambda: self._responder.setup.frame,
+            lambda: self._config().matching,
             self._take,
             self._responder.refuse,
             self._boundary.warn,
@@ -105,7 +106,7 @@ class CloudStream:
             self._pipeline.clear()
 
     def expire(self) -> None:
-        """Refuse the clouds whose correspondences did not come."""
+        """Decide about the clouds whose correspondences did not come."""
         if self._intake is not None:
             self._intake.expire()
 
@@ -116,7 +117,13 @@ class CloudStream:
             self._complain_of_silence(self._intake, timeout_s)
 
     def _take(self, received: Received) -> None:
-        frame = Frame(received.cloud, received.correspondences, received.received_s, self._responder.epoch)
+        frame = Frame(
+            received.cloud,
+            received.correspondences,
+            received.received_s,
+            self._responder.epoch,
+            received.kind,
+        )
         timeout_s = self._config().tf_timeout_s
         self._poses.add(frame, stamp_ns(frame.cloud.header.stamp), time.monotonic(), timeout_s)
         if self._poses.waiting and self._polls.is_canceled():

@@ -1,6 +1,6 @@
 """From one cloud to one answer."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,16 +8,15 @@ from sensor_msgs.msg import PointCloud2
 from softtissue_msgs.msg import Correspondences
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.estimator import Estimate, Estimator
 from softtissue_estimator.estimators.structure_sigma import largest_sigmas
 from softtissue_estimator.inference.stopwatch import Stopwatch
-from softtissue_estimator.observation.observation import Observation, make_observation
-from softtissue_estimator.observation.visibility import visible_fraction
+from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.organ.organ import Organ
-from softtissue_estimator.ros.inputs.conversions import Cloud, read_cloud
-from softtissue_estimator.ros.inputs.correspondences import read_correspondences
-from softtissue_estimator.ros.inputs.registration import OrganPose, Registration, transform_points
+from softtissue_estimator.ros.inputs.conversions import read_cloud
+from softtissue_estimator.ros.inputs.kinds import Kind
+from softtissue_estimator.ros.inputs.registration import OrganPose, Registration
+from softtissue_estimator.ros.questions import Bare, Pairs, ask_about_bare, ask_about_pairs
 
 FloatArray = NDArray[np.float64]
 
@@ -35,12 +34,15 @@ class Frame:
         When the cloud was received, monotonic clock, s.
     epoch : int
         Counts resets; an answer to a frame of an earlier epoch is not wanted any more.
+    kind : Kind
+        What the cloud is.
     """
 
     cloud: PointCloud2
     correspondences: Correspondences | None
     received_s: float
     epoch: int
+    kind: Kind = Kind.PAIRS
 
 
 @dataclass(frozen=True)
@@ -108,34 +110,29 @@ class FrameAnswerer:
         organ = self._organ
         watch = Stopwatch(frame.received_s)
         watch.lap("wait")
-        cloud = read_cloud(frame.cloud)
+        pairs = frame.kind is Kind.PAIRS
+        cloud = read_cloud(frame.cloud, with_reference=pairs)
         pose = registration.pose(cloud.frame, organ.frame, cloud.stamp_ns)
-        points, reference, sigma = tracked_points(frame, cloud, organ.frame)
-        points = transform_points(pose.organ_from_cloud, points)
-        watch.lap("read")
-        observation, rejected = make_observation(points, reference, sigma, organ, config)
-        observation = replace(
-            observation,
-            stamp_s=1e-9 * cloud.stamp_ns or None,  # zero is what those leave there who have no clock
-            registration_covariance=pose.covariance_at(organ.centre),
-        )
-        watch.lap("check")
+        asked: Pairs | Bare
+        if pairs:
+            asked = ask_about_pairs(cloud, frame.correspondences, pose, organ, config, watch)
+        else:
+            asked = ask_about_bare(cloud, frame.cloud, pose, organ, config, watch)
         self._notice(pose)
-        estimate = self._estimator.estimate(observation)
+        estimate = asked.answered_by(self._estimator)
         watch.lap("estimate")
         watch.stages.update({f"estimate/{name}": seconds for name, seconds in estimate.stages.items()})
-        visible = visible_fraction(organ, observation)
+        visible = asked.visible_fraction(organ, estimate)
         watch.lap("visibility")
-        used = len(observation.reference)
         return Answer(
             organ=organ,
             stamp_ns=cloud.stamp_ns,
             estimate=estimate,
             positions=organ.query_points + estimate.displacement,
             pose=pose,
-            used=used,
-            left_out=len(cloud.points) - used,
-            rejected_fraction=rejected / len(points),
+            used=asked.used,
+            left_out=len(cloud.points) - asked.used,
+            rejected_fraction=asked.rejected_fraction,
             visible_fraction=visible,
             structure_sigma=largest_sigmas(organ, estimate.sigma),
             stages=watch.stages,
@@ -144,34 +141,14 @@ class FrameAnswerer:
     def _notice(self, pose: OrganPose) -> None:
         # Here and not where registrations arrive: the frame in work has been explained with the one before.
         before, self._pose_before = self._pose_before, pose
-        if before is not None and pose.motion is not before.motion and (pose.told or before.told):
+        if before is not None and pose.given.motion is not before.given.motion and (pose.told or before.told):
             self._estimator.forget_registration()
 
 
-def tracked_points(
-    frame: Frame, cloud: Cloud, organ_frame: str
-) -> tuple[NDArray[np.floating], NDArray[np.floating], FloatArray | None]:
-    """Return the tracked points (cloud's frame), their preoperative positions (organ's frame) and sigma, m."""
-    if frame.correspondences is not None:
-        got = frame.correspondences.header.frame_id
-        if got != organ_frame:
-            raise InvalidInputError(
-                f"correspondences: expected the organ's frame {organ_frame!r}, got {got!r}"
-            )
-        pairs = read_correspondences(frame.correspondences, len(cloud.points))
-        return cloud.points[pairs.index], pairs.reference, pairs.sigma
-    if cloud.reference is None:
-        raise InvalidInputError("cloud: expected fields ref_x ref_y ref_z or correspondences, got neither")
-    with np.errstate(invalid="ignore", over="ignore"):
-        x, y, z = cloud.reference.T
-        tracked = np.isfinite(x + y + z)
-    if tracked.all():
-        return cloud.points, cloud.reference, None
-    if not tracked.any():
-        raise InvalidInputError(
-            f"cloud: expected finite ref_x ref_y ref_z in some points, got none in {len(tracked)} points"
-        )
-    return cloud.points[tracked], cloud.reference[tracked], None
+def matching_of(frame: Frame) -> str:
+    """Say what the points of a frame are matched by, as `EstimatorStatus.matching` has it."""
+    # Tracks are not followed yet: each of their clouds is matched as if it were bare.
+    return str((Kind.BARE if frame.kind is Kind.TRACKS else frame.kind).value)
 
 
 def unmoved(organ: Organ, config: EstimatorConfig) -> Observation:

@@ -17,6 +17,9 @@ from softtissue_estimator.ros.command_line import check_parameters
 # Read anew for every cloud, so they may change while the node works. Everything else goes into what is loaded.
 LIVE = frozenset(
     {
+        "matching",
+        "organ_label",
+        "viewpoint",
         "default_sigma_m",
         "max_displacement_m",
         "max_reference_distance_m",

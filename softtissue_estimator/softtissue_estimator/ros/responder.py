@@ -11,7 +11,7 @@ from sensor_msgs.msg import PointCloud2
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.ros.degradation import degradation_reasons, in_one_sentence
 from softtissue_estimator.ros.engine import Engine
-from softtissue_estimator.ros.frames import Answer, Frame
+from softtissue_estimator.ros.frames import Answer, Frame, matching_of
 from softtissue_estimator.ros.inputs.counters import FrameCounters
 from softtissue_estimator.ros.inputs.registration import Registration
 from softtissue_estimator.ros.outputs.markers import delete_all
@@ -180,7 +180,7 @@ class Responder:
             if not self._wanted(outcome):
                 return
             if outcome.answer is None:
-                self.refuse(outcome.frame.cloud, outcome.refusal)
+                self.refuse(outcome.frame.cloud, outcome.refusal, matching_of(outcome.frame))
                 return
             try:
                 report = self._publish(outcome, outcome.answer)
@@ -232,10 +232,11 @@ class Responder:
             diagnosis=answer.estimate.diagnosis,
             structures=tuple(structure.name for structure in answer.organ.structures),
             structure_sigma=tuple(answer.structure_sigma.tolist()),
+            matching=matching_of(outcome.frame),
         )
 
-    def refuse(self, cloud: PointCloud2, reason: str) -> None:
-        """Report a cloud that cannot be used; the estimate before it no longer holds."""
+    def refuse(self, cloud: PointCloud2, reason: str, matching: str = "") -> None:
+        """Report a cloud that cannot be used, and how it was to be matched; the estimate before it no longer holds."""
         with self._lock:
             self._answer = None
             self._counters.add(refused=1)
@@ -245,6 +246,7 @@ class Responder:
                     one_sentence(reason),
                     left_out=int(cloud.width) * int(cloud.height),
                     stamp=cloud.header.stamp,
+                    matching=matching,
                 )
             )
 

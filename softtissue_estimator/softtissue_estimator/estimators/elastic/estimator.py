@@ -156,6 +156,10 @@ class ElasticEstimator(Estimator):
         with self._threads.limit(limits=1, user_api="blas"), one_thread():
             return self._estimate(observation, model)
 
+    def estimate_bare(self, cloud: BareCloud) -> ElasticEstimate:
+        """See `Estimator.estimate_bare`."""
+        return self.estimate(cloud)
+
     def _loaded(self, before: str) -> ElasticModel:
         if self._model is None:
             raise InvalidInputError(f"elastic estimator: expected load_organ before {before}, got no organ")

@@ -12,13 +12,10 @@ from sensor_msgs.msg import PointCloud2
 from softtissue_msgs.msg import Correspondences
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.ros.inputs.conversions import (
-    carries_reference,
-    check_stamp,
-    field_names,
-    stamp_ns,
-)
+from softtissue_estimator.ros.inputs.cloud_layout import field_names
+from softtissue_estimator.ros.inputs.conversions import check_stamp, stamp_ns
 from softtissue_estimator.ros.inputs.counters import FrameCounters, LossCounter
+from softtissue_estimator.ros.inputs.kinds import Company, Kind, Kinds
 from softtissue_estimator.ros.inputs.pairing import Outcome, StampMatcher, Waiting
 from softtissue_estimator.ros.inputs.registration import Registration
 from softtissue_estimator.ros.inputs.registration_topics import RegistrationTopics
@@ -31,11 +28,12 @@ CORRESPONDENCES_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFF
 
 @dataclass(frozen=True)
 class Received:
-    """A cloud with the correspondences that belong to it (None if it carries its own)."""
+    """A cloud, what it is, and the correspondences that belong to it (None if it carries its own, or has none)."""
 
     cloud: PointCloud2
     correspondences: Correspondences | None
     received_s: float
+    kind: Kind = Kind.PAIRS
 
 
 class Intake:
@@ -48,6 +46,8 @@ class Intake:
     registration : Registration
     organ_frame : callable
         Returns the frame of the organ at work.
+    matching : callable
+        Returns `EstimatorConfig.matching`.
     on_frame : callable
         Takes a cloud that is complete.
     on_refusal : callable
@@ -64,6 +64,7 @@ class Intake:
         counters: FrameCounters,
         registration: Registration,
         organ_frame: Callable[[], str],
+        matching: Callable[[], str],
         on_frame: Callable[[Received], None],
         on_refusal: Callable[[PointCloud2, str], None],
         on_warning: Callable[[str], None],
@@ -83,7 +84,8 @@ class Intake:
         self._clouds = node.create_subscription(
             PointCloud2, "surface_points", self._take_cloud, CLOUD_QOS, event_callbacks=events
         )
-
+        self._kinds = Kinds(matching, Company(self.publishers, self._publishers_of_pairs), time.monotonic)
+        self._kinds.look()
         offers = node.get_publishers_info_by_topic(self.topic)
         self._losses = LossCounter([_identity(offer.endpoint_gid) for offer in offers])
 
@@ -101,8 +103,12 @@ class Intake:
         """Count the publishers announced on the topic of clouds."""
         return int(self._node.count_publishers(self.topic))
 
+    def _publishers_of_pairs(self) -> int:
+        return int(self._node.count_publishers(self._pairs.topic_name))
+
     def expire(self) -> None:
-        """Refuse the clouds whose correspondences did not come."""
+        """Decide about the clouds whose correspondences did not come; to be called several times a second."""
+        self._kinds.look()
         self._settle(self._matcher.expire(time.monotonic()))
 
     def look_for_kept_registration(self) -> None:
@@ -124,14 +130,14 @@ class Intake:
         lost = self._lost_before(info)
         self._counters.add(received=1 + lost, dropped=lost)
         try:
-            complete = carries_reference(message)
+            kind = self._kinds.of(message)
         except Exception as error:  # whatever it is, the cloud is counted and its sender told
             self._on_refusal(message, self._explain("cloud", error))
             return
-        if complete:
-            self._on_frame(Received(message, None, now))
-        else:
+        if kind is None:
             self._settle(self._matcher.add_cloud(stamp_ns(message.header.stamp), message, now))
+        else:
+            self._go_on(Received(message, None, now, kind))
 
     def _lost_before(self, info: dict[str, Any]) -> int:
         """Count clouds that a newer one overwrote before this thread could take them, or that got lost."""
@@ -157,10 +163,23 @@ class Intake:
     def _settle(self, outcome: Outcome[PointCloud2, Correspondences]) -> None:
         self._counters.add(dropped=len(outcome.passed_over))
         for entry in outcome.unmatched:
-            self._refuse_unmatched(entry)
+            kind = self._kinds.after_waiting(entry.cloud)
+            if kind is None:
+                self._refuse_unmatched(entry)
+            elif entry is outcome.unmatched[-1]:
+                self._go_on(Received(entry.cloud, None, entry.received_s, kind))
+            else:
+                self._counters.add(dropped=1)
         if outcome.matched is not None:
             entry, correspondences = outcome.matched
             self._on_frame(Received(entry.cloud, correspondences, entry.received_s))
+
+    def _go_on(self, received: Received) -> None:
+        """Hand on a cloud without a message of correspondences; one that waits for its own comes no more before it."""
+        if received.kind is not Kind.PAIRS:
+            older = self._matcher.pass_over(stamp_ns(received.cloud.header.stamp))
+            self._counters.add(dropped=len(older.passed_over))
+        self._on_frame(received)
 
     def _refuse_unmatched(self, entry: Waiting[PointCloud2]) -> None:
         self._on_refusal(

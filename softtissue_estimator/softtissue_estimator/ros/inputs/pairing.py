@@ -81,6 +81,10 @@ class StampMatcher(Generic[CloudT, PairsT]):
             self._pairs.popitem(last=False)
         return Outcome()
 
+    def pass_over(self, stamp_ns: int) -> Outcome[CloudT, PairsT]:
+        """Give up on clouds that are older than one that goes on without correspondences."""
+        return Outcome(passed_over=self._take_older(stamp_ns))
+
     def expire(self, now_s: float) -> Outcome[CloudT, PairsT]:
         """Give up on clouds that have waited longer than the patience allows."""
         late = [stamp for stamp, entry in self._clouds.items() if now_s - entry.received_s > self._patience_s]

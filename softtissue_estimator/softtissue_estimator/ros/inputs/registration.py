@@ -1,4 +1,4 @@
-"""The rigid pose of the organ: the newest that was told, or what tf2 knows."""
+"""The rigid pose of the organ: the newest that was told, seen from a camera that may move, or what tf2 knows."""
 
 import math
 import threading
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.ros.inputs.camera_poses import TOPIC, CameraPoses
 from softtissue_estimator.ros.inputs.conversions import read_pose, read_transform
 from softtissue_estimator.ros.inputs.pose_covariance import at_centre, read_covariance
 from softtissue_estimator.ros.inputs.transforms import Lookup, TransformSource
@@ -39,6 +40,9 @@ class OrganPose:
         change because the camera moves.
     doubt : str
         Why it may not be the pose at the cloud's stamp, in a sentence; empty where it is.
+    fixed : OrganPose or None
+        The registration in a fixed frame, in which a camera moves that has the cloud's frame, with its covariance; None
+        where it was given in the cloud's own.
     """
 
     cloud_frame: str
@@ -47,17 +51,24 @@ class OrganPose:
     covariance: FloatArray | None = None
     told: bool = False
     doubt: str = ""
+    fixed: "OrganPose | None" = None
+
+    @property
+    def given(self) -> "OrganPose":
+        """The pose as it was registered, which stays one object as long as the registration does."""
+        return self if self.fixed is None else self.fixed
 
     @property
     def organ_from_cloud(self) -> FloatArray:
         """The (4, 4) motion that takes points from the cloud's frame to the organ's, m."""
-        return _inverse(self.motion)
+        return inverse(self.motion)
 
     def covariance_at(self, centre: FloatArray) -> FloatArray | None:
         """Return the (6, 6) covariance about the organ's centre (3,) m as an `Observation` has it, if there is one."""
-        if self.covariance is None:
+        given = self.given
+        if given.covariance is None:
             return None
-        return at_centre(self.covariance, self.motion[:3, :3], centre)
+        return at_centre(given.covariance, given.motion[:3, :3], centre)
 
     def repeats(self, other: "OrganPose") -> bool:
         """Say whether it says the same as another one, but for rounding."""
@@ -87,6 +98,8 @@ class Registration:
         max_age_s: Callable[[], float] = lambda: EstimatorConfig.registration_max_age_s,
     ) -> None:
         self._max_age_s = max_age_s
+        self.cameras = CameraPoses(max_age_s)
+        """Poses of moving cameras in the fixed frame in which the organ may be registered."""
         self._changed_s, self._changes = -math.inf, 0
         self.kept = False
         """Whether its publishers keep it for late comers: then it holds until they send another."""
@@ -138,48 +151,74 @@ class Registration:
                 self._changed_s = now
 
     def pose(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> OrganPose:
-        """Return the pose of the organ's frame in the cloud's; the same `motion` as long as the registration is.
+        """Return the pose of the organ's frame in the cloud's; the same `given.motion` as long as the registration is.
 
         Raises
         ------
         InvalidInputError
-            If the frames differ and nothing between them is known, or tf2 knows a pose that is too old.
+            If the frames differ and nothing between them is known, or a camera's pose or tf2's is too old.
         """
-        with self._lock:
-            newest, age_s = self._newest, time.monotonic() - self._arrived_s
-            moving = self._changes >= _STREAM and not self.kept
+        newest = self._told()
         if newest is not None and (newest.cloud_frame, newest.organ_frame) == (cloud_frame, organ_frame):
-            if moving and age_s > self._max_age_s():
-                # Not refused: who dragged it to where it belongs, and let go, is right.
-                doubt = (
-                    f"registration: expected one that moves at least every {self._max_age_s():g} s"
-                    f" (registration_max_age_s), got none for {age_s:.1f} s"
-                )
-                return replace(newest, doubt=doubt)
             return newest
         if cloud_frame == organ_frame:
             return OrganPose(cloud_frame, organ_frame, np.eye(4))
-        found = Lookup(None)
-        if self._fallback is not None and cloud_frame:
-            found = self._fallback.lookup(cloud_frame, organ_frame, stamp_ns)
-        if found.transform is not None:
-            doubt = _doubt(found, self._max_age_s())
-            return OrganPose(cloud_frame, organ_frame, read_transform(found.transform), doubt=doubt)
+        seen = self._seen(newest, cloud_frame, organ_frame, stamp_ns)
+        motion = seen.found.motion
+        if motion is not None:
+            doubt = _doubt(seen.source, seen.found, self._max_age_s())
+            if seen.fixed is None:
+                return OrganPose(cloud_frame, organ_frame, motion, doubt=doubt)
+            doubt = "; ".join(filter(None, (seen.fixed.doubt, doubt)))
+            motion = inverse(motion) @ seen.fixed.motion
+            return OrganPose(cloud_frame, organ_frame, motion, told=True, doubt=doubt, fixed=seen.fixed)
         have = "none" if newest is None else f"one of {newest.organ_frame!r} in {newest.cloud_frame!r}"
         raise InvalidInputError(
             f"cloud: expected frame {organ_frame!r} or a registration of {organ_frame!r} in the cloud's frame,"
-            f" got a cloud in frame {cloud_frame!r} and {have}{_hint(cloud_frame, organ_frame, newest, found)}"
+            f" got a cloud in frame {cloud_frame!r} and {have}{_hint(cloud_frame, organ_frame, newest, seen.found)}"
         )
 
     def awaits(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> bool:
-        """Say whether the pose at a stamp is not known and tf2 may still learn it."""
-        if self._fallback is None or not cloud_frame or cloud_frame == organ_frame:
+        """Say whether the pose at a stamp is not known and may still arrive, of a camera or by tf2."""
+        newest = self._told()
+        told = newest is not None and (newest.cloud_frame, newest.organ_frame) == (cloud_frame, organ_frame)
+        if told or cloud_frame == organ_frame:
             return False
+        try:
+            return self._seen(newest, cloud_frame, organ_frame, stamp_ns).found.may_come
+        except InvalidInputError:
+            return False  # which is said when it is answered
+
+    def _told(self) -> OrganPose | None:
+        """Return the newest registration, in doubt where it moved and is no longer sent."""
         with self._lock:
-            newest = self._newest
-        if newest is not None and (newest.cloud_frame, newest.organ_frame) == (cloud_frame, organ_frame):
-            return False
-        return self._fallback.lookup(cloud_frame, organ_frame, stamp_ns).may_come
+            newest, age_s = self._newest, time.monotonic() - self._arrived_s
+            moving = self._changes >= _STREAM and not self.kept
+        if newest is None or not moving or age_s <= self._max_age_s():
+            return newest
+        # Not refused: who dragged it to where it belongs, and let go, is right.
+        doubt = (
+            f"registration: expected one that moves at least every {self._max_age_s():g} s"
+            f" (registration_max_age_s), got none for {age_s:.1f} s"
+        )
+        return replace(newest, doubt=doubt)
+
+    def _seen(self, newest: OrganPose | None, cloud_frame: str, organ_frame: str, stamp_ns: int) -> "_Seen":
+        """Ask who may know a pose, until one does: of the camera where the organ was registered in another frame."""
+        fixed = newest if newest is not None and newest.organ_frame == organ_frame and cloud_frame else None
+        asked: list[_Seen] = []
+        sources: list[tuple[str, TransformSource | None, OrganPose | None]] = [("tf2", self._fallback, None)]
+        if fixed is not None:
+            sources = [(TOPIC, self.cameras, fixed), *sources, ("tf2", self._fallback, fixed)]
+        for name, source, of in sources:
+            if source is None or not cloud_frame:
+                continue
+            frames = (cloud_frame, organ_frame) if of is None else (of.cloud_frame, cloud_frame)
+            asked.append(_Seen(name, source.lookup(*frames, stamp_ns), of))
+            if asked[-1].found.motion is not None:
+                return asked[-1]
+        reason = "; ".join(f"{seen.source}: {seen.found.reason}" for seen in asked if seen.found.reason)
+        return _Seen("", Lookup(None, may_come=any(seen.found.may_come for seen in asked), reason=reason))
 
     def organ_from_cloud(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> FloatArray:
         """Return the (4, 4) motion that takes points from the cloud's frame to the organ's, m.
@@ -192,8 +231,17 @@ class Registration:
         return self.pose(cloud_frame, organ_frame, stamp_ns).organ_from_cloud
 
 
-def _doubt(found: Lookup, max_age_s: float) -> str:
-    """Say why a transform may not be the pose at the cloud's stamp.
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What somebody knows of a frame: of the organ's in the cloud's, or of the cloud's in that of `fixed`."""
+
+    source: str
+    found: Lookup
+    fixed: OrganPose | None = None
+
+
+def _doubt(source: str, found: Lookup, max_age_s: float) -> str:
+    """Say why a pose, or a transform of tf2, may not be that at the cloud's stamp.
 
     Raises
     ------
@@ -201,11 +249,12 @@ def _doubt(found: Lookup, max_age_s: float) -> str:
         If it is too far from it.
     """
     if math.isnan(found.lag_s):
-        return "tf2: expected a cloud with a stamp, since its frame moves, got the stamp 0"
+        return f"{source}: expected a cloud with a stamp, since its frame moves, got the stamp 0"
     if found.lag_s == 0.0:
         return ""
     side = "older" if found.lag_s > 0.0 else "newer"
-    said = f"tf2: expected a transform at the cloud's stamp, got one {abs(found.lag_s):.3f} s {side} than the cloud"
+    what = "transform" if source == "tf2" else "pose"
+    said = f"{source}: expected a {what} at the cloud's stamp, got one {abs(found.lag_s):.3f} s {side} than the cloud"
     if abs(found.lag_s) > max_age_s:
         raise InvalidInputError(f"{said}, more than registration_max_age_s ({max_age_s:g} s)")
     return said
@@ -219,14 +268,15 @@ def _hint(cloud_frame: str, organ_frame: str, newest: OrganPose | None, found: L
         )
     if cloud_frame.startswith("/"):
         return "; frames have no leading slash in ROS 2"
-    return f"; tf2: {found.reason}" if found.reason else ""
+    return f"; {found.reason}" if found.reason else ""
 
 
-def _inverse(motion: FloatArray) -> FloatArray:
-    inverse = np.eye(4)
-    inverse[:3, :3] = motion[:3, :3].T
-    inverse[:3, 3] = -motion[:3, :3].T @ motion[:3, 3]
-    return inverse
+def inverse(motion: FloatArray) -> FloatArray:
+    """Return the inverse of a (4, 4) rigid motion."""
+    back = np.eye(4)
+    back[:3, :3] = motion[:3, :3].T
+    back[:3, 3] = -motion[:3, :3].T @ motion[:3, 3]
+    return back
 
 
 def transform_points(motion: FloatArray, points: NDArray[np.floating]) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The two topics on which somebody tells the organ's pose; the newest message of either counts."""
+"""The topics on which somebody tells the organ's pose, of which the newest message counts, and that of the camera."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,9 +8,12 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.ros.inputs.camera_poses import TOPIC as CAMERA_TOPIC
 from softtissue_estimator.ros.inputs.registration import Registration
 
 REGISTRATION_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+# Clouds are late: the pose that the camera had at their stamp may have come many messages ago.
+CAMERA_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 # For a registration that is published once and kept for late comers. A volatile publisher cannot serve such a
 # subscription and would log a warning, so there is one only where somebody offers it.
 KEPT_REGISTRATION_QOS = QoSProfile(
@@ -47,6 +50,9 @@ class RegistrationTopics:
             _Topic(node, TransformStamped, "registration", registration.put, on_warning),
             _Topic(node, PoseWithCovarianceStamped, "registration_with_covariance", take_pose, on_warning),
         ]
+        self._camera = _Topic(
+            node, TransformStamped, CAMERA_TOPIC, registration.cameras.put, on_warning, CAMERA_QOS
+        )
 
     def look_for_kept(self) -> None:
         """Subscribe once more to a topic if all its publishers keep their message for late comers."""
@@ -57,18 +63,24 @@ class RegistrationTopics:
 
     def close(self) -> None:
         """End the subscriptions."""
-        for topic in self._topics:
+        for topic in (*self._topics, self._camera):
             topic.close()
 
 
 class _Topic:
     def __init__(
-        self, node: Node, kind: Any, name: str, put: Callable[[Any], None], on_warning: Callable[[str], None]
+        self,
+        node: Node,
+        kind: Any,
+        name: str,
+        put: Callable[[Any], None],
+        on_warning: Callable[[str], None],
+        qos: QoSProfile = REGISTRATION_QOS,
     ) -> None:
         self._node, self._kind, self._name = node, kind, name
         self._put, self._on_warning = put, on_warning
         self.offered = self.kept = False
-        self._subscriptions = [node.create_subscription(kind, name, self._take, REGISTRATION_QOS)]
+        self._subscriptions = [node.create_subscription(kind, name, self._take, qos)]
 
     def look_for_kept(self) -> None:
         offers = self._node.get_publishers_info_by_topic(self._subscriptions[0].topic_name)

@@ -3,12 +3,17 @@
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 from geometry_msgs.msg import TransformStamped
+from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.time import Time
 
+from softtissue_estimator.ros.inputs.conversions import read_transform
 from softtissue_estimator.ros.inputs.conversions import stamp_ns as nanoseconds
 from softtissue_estimator.support.sentences import one_sentence
+
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,8 +22,9 @@ class Lookup:
 
     Attributes
     ----------
-    transform : TransformStamped or None
-        At the stamp that was asked for, else the newest; None where the frames are not connected.
+    motion : (4, 4) float64 or None
+        From that frame to the other one, m, at the stamp that was asked for, else the newest or nearest; None where the
+        frames are not connected.
     lag_s : float
         By how much the stamp that was asked for is later than the transform's, s; 0 where it holds at that stamp, as a
         static one always does; NaN where there is no telling, since no stamp was given.
@@ -28,7 +34,7 @@ class Lookup:
         Why there is none at that stamp; empty where there is.
     """
 
-    transform: TransformStamped | None
+    motion: FloatArray | None
     lag_s: float = 0.0
     may_come: bool = False
     reason: str = ""
@@ -37,8 +43,8 @@ class Lookup:
 class TransformSource(Protocol):
     """Something that knows transforms."""
 
-    def lookup(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> Lookup:
-        """Look up the pose of `organ_frame` in `cloud_frame`."""
+    def lookup(self, parent: str, child: str, stamp_ns: int) -> Lookup:
+        """Look up the pose of frame `child` in frame `parent`."""
 
 
 class TfSource:
@@ -51,33 +57,32 @@ class TfSource:
         self._buffer = tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._buffer, node)
 
-    def lookup(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> Lookup:
-        """Look up the pose of `organ_frame` in `cloud_frame`, at a stamp or the newest."""
+    def lookup(self, parent: str, child: str, stamp_ns: int) -> Lookup:
+        """Look up the pose of frame `child` in frame `parent`, at a stamp or the newest."""
         reason = ""
         if stamp_ns:  # zero is what those leave there who have no clock, and for tf2 the newest
             try:
-                return Lookup(self._at(cloud_frame, organ_frame, stamp_ns))
+                return Lookup(read_transform(self._at(parent, child, stamp_ns), "tf2"))
             except self._invalid as error:  # a leading slash, say: waiting does not help
                 return Lookup(None, reason=one_sentence(str(error)))
             except self._error as error:
                 reason = one_sentence(str(error))
         try:
-            newest = self._at(cloud_frame, organ_frame, 0)
+            newest = self._at(parent, child, 0)
         except self._invalid as error:
             return Lookup(None, reason=one_sentence(str(error)))
         except self._error as error:
             return Lookup(None, may_come=True, reason=reason or one_sentence(str(error)))
         known_ns = nanoseconds(newest.header.stamp)
+        motion = read_transform(newest, "tf2")
         if not stamp_ns:
             # Static transforms alone have the stamp zero.
-            return Lookup(newest, lag_s=float("nan") if known_ns else 0.0)
+            return Lookup(motion, lag_s=float("nan") if known_ns else 0.0)
         lag_s = 1e-9 * (stamp_ns - known_ns)
-        return Lookup(newest, lag_s, may_come=lag_s > 0.0, reason=reason)
+        return Lookup(motion, lag_s, may_come=lag_s > 0.0, reason=reason)
 
-    def _at(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> TransformStamped:
-        found: TransformStamped = self._buffer.lookup_transform(
-            cloud_frame, organ_frame, Time(nanoseconds=stamp_ns)
-        )
+    def _at(self, parent: str, child: str, stamp_ns: int) -> TransformStamped:
+        found: TransformStamped = self._buffer.lookup_transform(parent, child, Time(nanoseconds=stamp_ns))
         return found
 
 

@@ -53,6 +53,8 @@ class Report:
         Names of the organ's structures; empty without answer.
     structure_sigma : tuple of float
         Largest standard deviation of each, m; NaN where the estimator gives none.
+    matching : str
+        As in the message; empty when it speaks of no cloud, or of one that is nothing.
     """
 
     level: int
@@ -67,6 +69,7 @@ class Report:
     diagnosis: Diagnosis | None = None
     structures: tuple[str, ...] = ()
     structure_sigma: tuple[float, ...] = ()
+    matching: str = ""
 
     @property
     def registration_error(self) -> tuple[float, float]:
@@ -144,6 +147,7 @@ def status_message(report: Report, setup: Setup, counts: Counts) -> EstimatorSta
     message.level = report.level
     message.reason = report.reason
     message.estimator, message.device, message.organ = setup.estimator, setup.device, setup.organ
+    message.matching = report.matching
     message.visible_fraction = report.visible_fraction
     message.points_used = min(report.used, _LARGEST_COUNT)
     message.points_rejected = min(report.left_out, _LARGEST_COUNT)
@@ -174,6 +178,7 @@ def diagnostics_message(
         "estimator": setup.estimator,
         "device": setup.device,
         "organ": setup.organ,
+        "matching": report.matching,
         "frames received": counts.received,
         "frames answered": counts.answered,
         "frames dropped": counts.dropped,

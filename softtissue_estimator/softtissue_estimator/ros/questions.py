@@ -1,0 +1,180 @@
+"""What an estimator is asked about one cloud: pairs with the preoperative surface, or points that nobody matched."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2
+from softtissue_msgs.msg import Correspondences
+
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.estimators.estimator import Estimate, Estimator
+from softtissue_estimator.inference.stopwatch import Stopwatch
+from softtissue_estimator.observation.bare_cloud import BareCloud, make_bare_cloud
+from softtissue_estimator.observation.observation import Observation, make_observation
+from softtissue_estimator.observation.visibility import seen_fraction, visible_fraction
+from softtissue_estimator.organ.organ import Organ
+from softtissue_estimator.ros.inputs.conversions import Cloud
+from softtissue_estimator.ros.inputs.correspondences import read_correspondences
+from softtissue_estimator.ros.inputs.point_labels import read_labels
+from softtissue_estimator.ros.inputs.registration import OrganPose, transform_points
+
+FloatArray = NDArray[np.float64]
+
+_OPTICAL = ("_optical", "_optical_frame")
+"""Ends of the names of frames whose origin is a camera, by the conventions of ROS (REP 103)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Points of which it is known where they were on the preoperative surface.
+
+    Attributes
+    ----------
+    observation : Observation
+    rejected_fraction : float
+        Share of the correspondences that could not be used.
+    """
+
+    observation: Observation
+    rejected_fraction: float
+
+    @property
+    def used(self) -> int:
+        """Number of points that enter the estimate."""
+        return len(self.observation.reference)
+
+    def answered_by(self, estimator: Estimator) -> Estimate:
+        """Return the estimator's answer."""
+        return estimator.estimate(self.observation)
+
+    def visible_fraction(self, organ: Organ, _estimate: Estimate) -> float:
+        """Visible share of the organ's surface area, 0 to 1."""
+        return visible_fraction(organ, self.observation)
+
+
+@dataclass(frozen=True, eq=False)
+class Bare:
+    """Points that nobody matched.
+
+    Attributes
+    ----------
+    cloud : BareCloud
+    track : (n,) int64 or None
+        Number of the track of each of its points; -1 for none. Not used yet.
+    """
+
+    cloud: BareCloud
+    track: NDArray[np.int64] | None
+    rejected_fraction: float = 0.0
+
+    @property
+    def used(self) -> int:
+        """Number of points that enter the estimate."""
+        return len(self.cloud.points)
+
+    def answered_by(self, estimator: Estimator) -> Estimate:
+        """Return the estimator's answer."""
+        return estimator.estimate_bare(self.cloud)
+
+    def visible_fraction(self, organ: Organ, estimate: Estimate) -> float:
+        """Visible share of the organ's surface area, 0 to 1; NaN where the estimator does not tell."""
+        return float("nan") if estimate.seen is None else seen_fraction(organ, estimate.seen)
+
+
+def ask_about_pairs(
+    cloud: Cloud,
+    correspondences: Correspondences | None,
+    pose: OrganPose,
+    organ: Organ,
+    config: EstimatorConfig,
+    watch: Stopwatch,
+) -> Pairs:
+    """Make a question of a cloud with its correspondences, which are in a message or in the cloud itself.
+
+    Raises
+    ------
+    InvalidInputError
+        If they cannot be used.
+    """
+    points, reference, sigma = tracked_points(correspondences, cloud, organ.frame)
+    points = transform_points(pose.organ_from_cloud, points)
+    watch.lap("read")
+    observation, rejected = make_observation(points, reference, sigma, organ, config)
+    observation = replace(
+        observation, stamp_s=_stamp_s(cloud), registration_covariance=pose.covariance_at(organ.centre)
+    )
+    watch.lap("check")
+    return Pairs(observation, rejected / len(points))
+
+
+def ask_about_bare(
+    cloud: Cloud,
+    message: PointCloud2,
+    pose: OrganPose,
+    organ: Organ,
+    config: EstimatorConfig,
+    watch: Stopwatch,
+) -> Bare:
+    """Make a question of a cloud without correspondences; what its fields say not to be of the organ is left out.
+
+    Raises
+    ------
+    InvalidInputError
+        If it cannot be used.
+    """
+    labels = read_labels(message, config.organ_label)
+    with np.errstate(invalid="ignore", over="ignore"):
+        finite = np.isfinite(cloud.points @ np.ones(3, cloud.points.dtype))
+    kept = finite if labels.organ is None else finite & labels.organ
+    points = transform_points(pose.organ_from_cloud, cloud.points.compress(kept, axis=0))
+    track = None if labels.track is None else labels.track[kept]
+    watch.lap("read")
+    bare, rejected = make_bare_cloud(points, None, config)
+    bare = replace(
+        bare,
+        viewpoint=_viewpoint(pose, config.viewpoint),
+        stamp_s=_stamp_s(cloud),
+        registration_covariance=pose.covariance_at(organ.centre),
+    )
+    watch.lap("check")
+    return Bare(bare, None if rejected else track)
+
+
+def _stamp_s(cloud: Cloud) -> float | None:
+    return 1e-9 * cloud.stamp_ns or None  # zero is what those leave there who have no clock
+
+
+def _viewpoint(pose: OrganPose, wanted: str) -> FloatArray | None:
+    """Return from where a cloud was seen, (3,) m in the organ's frame, if that is known."""
+    camera = pose.fixed is not None or pose.cloud_frame.endswith(_OPTICAL)
+    if wanted == "none" or (wanted == "auto" and not camera):
+        return None
+    return pose.organ_from_cloud[:3, 3].copy()
+
+
+def tracked_points(
+    correspondences: Correspondences | None, cloud: Cloud, organ_frame: str
+) -> tuple[NDArray[np.floating], NDArray[np.floating], FloatArray | None]:
+    """Return the tracked points (cloud's frame), their preoperative positions (organ's frame) and sigma, m."""
+    if correspondences is not None:
+        got = correspondences.header.frame_id
+        if got != organ_frame:
+            raise InvalidInputError(
+                f"correspondences: expected the organ's frame {organ_frame!r}, got {got!r}"
+            )
+        pairs = read_correspondences(correspondences, len(cloud.points))
+        return cloud.points[pairs.index], pairs.reference, pairs.sigma
+    if cloud.reference is None:
+        raise InvalidInputError("cloud: expected fields ref_x ref_y ref_z or correspondences, got neither")
+    with np.errstate(invalid="ignore", over="ignore"):
+        x, y, z = cloud.reference.T
+        tracked = np.isfinite(x + y + z)
+    if tracked.all():
+        return cloud.points, cloud.reference, None
+    if not tracked.any():
+        raise InvalidInputError(
+            f"cloud: expected finite ref_x ref_y ref_z in some points, got none in {len(tracked)} points"
+        )
+    return cloud.points[tracked], cloud.reference[tracked], None
