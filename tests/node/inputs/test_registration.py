@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
@@ -11,6 +12,7 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 from integration.harness import CAMERA_FROM_ORGAN, pose_message, registration_message, stamp_message
 from node.stand_ins import TF2, Recorder, stand_in
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.ros.inputs.pose_covariance import at_centre
 from softtissue_estimator.ros.inputs.registration import Registration, transform_points
 from softtissue_estimator.ros.inputs.transforms import Lookup, tf_source
 
@@ -147,8 +149,8 @@ def test_tf_is_asked_when_no_registration_fits():
     assert asked == [("camera", "organ", 42), ("moon", "organ", 43)]
 
 
-def at(stamp_ns, motion=CAMERA_FROM_ORGAN, parent="camera"):
-    message = registration_message(motion, parent=parent)
+def at(stamp_ns, motion=CAMERA_FROM_ORGAN, parent="camera", child="organ"):
+    message = registration_message(motion, parent, child)
     message.header.stamp = stamp_message(stamp_ns)
     return message
 
@@ -244,3 +246,92 @@ def test_registration_that_is_corrected_once_holds_on(monkeypatch):
 def test_without_tf_there_is_no_source(monkeypatch):
     monkeypatch.setitem(sys.modules, "tf2_ros", None)
     assert tf_source(None) is None
+
+
+def turned(yaw_deg, shift):
+    motion = np.eye(4)
+    motion[:3, :3] = Rotation.from_euler("zyx", [yaw_deg, 20.0, -10.0], degrees=True).as_matrix()
+    motion[:3, 3] = shift
+    return motion
+
+
+ROOM_FROM_ORGAN = turned(40.0, [0.3, -0.2, 1.0])
+
+
+def camera_at(registration, stamp_ns, motion):
+    registration.cameras.put(at(stamp_ns, motion, "room", "camera"))
+
+
+def test_registration_in_a_fixed_frame_goes_with_the_camera():
+    registration, centre = Registration(), np.array([0.1, 0.0, 0.2])
+    registration.put_with_covariance(pose_message(ROOM_FROM_ORGAN, TOLD, "room"), "organ")
+    camera_at(registration, SECOND, turned(0.0, [0.1, 0.0, 0.8]))
+    camera_at(registration, 2 * SECOND, turned(30.0, [0.2, 0.0, 0.8]))
+    poses = [registration.pose("camera", "organ", number * SECOND) for number in (1, 2)]
+    inside = np.array([0.01, 0.02, 0.03, 1.0])
+    for pose, camera in zip(
+        poses, (turned(0.0, [0.1, 0.0, 0.8]), turned(30.0, [0.2, 0.0, 0.8])), strict=True
+    ):
+        seen = np.linalg.inv(camera) @ ROOM_FROM_ORGAN @ inside
+        np.testing.assert_allclose(pose.organ_from_cloud @ seen, inside, atol=1e-12)
+        # What is uncertain of the organ in the room does not go with the camera.
+        expected = at_centre(TOLD, ROOM_FROM_ORGAN[:3, :3], centre)
+        np.testing.assert_allclose(pose.covariance_at(centre), expected, atol=1e-15)
+        assert (pose.cloud_frame, pose.told, pose.doubt) == ("camera", True, "")
+    assert poses[0].given.motion is poses[1].given.motion
+    in_room = registration.pose("room", "organ", SECOND)
+    assert in_room.given is in_room and in_room.motion is poses[0].given.motion
+
+
+def test_registration_in_the_cloud_s_own_frame_takes_no_camera():
+    registration = Registration()
+    registration.put(registration_message(CAMERA_FROM_ORGAN))
+    camera_at(registration, SECOND, turned(30.0, [0.2, 0.0, 0.8]))
+    pose = registration.pose("camera", "organ", SECOND)
+    np.testing.assert_allclose(pose.motion, CAMERA_FROM_ORGAN, atol=1e-12)
+    assert pose.fixed is None and not registration.awaits("camera", "organ", 2 * SECOND)
+
+
+def test_cloud_waits_for_the_later_pose_of_its_camera_and_is_refused_without_one_near_enough():
+    registration = Registration(max_age_s=lambda: 0.5)
+    registration.put(registration_message(ROOM_FROM_ORGAN, "room"))
+    assert not registration.awaits("camera", "organ", SECOND)  # there may be no camera at all
+    with pytest.raises(
+        InvalidInputError, match=r"'organ' in 'room'; camera_pose: no pose of 'camera' in 'room'"
+    ):
+        registration.pose("camera", "organ", SECOND)
+    camera_at(registration, SECOND, np.eye(4))
+    assert not registration.awaits("camera", "organ", SECOND)
+    assert registration.awaits("camera", "organ", SECOND + SECOND // 10)
+    late = registration.pose("camera", "organ", SECOND + SECOND // 10)
+    assert (
+        late.doubt
+        == "camera_pose: expected a pose at the cloud's stamp, got one 0.100 s older than the cloud"
+    )
+    with pytest.raises(InvalidInputError, match=r"camera_pose: .* got one 0.600 s older .* \(0.5 s\)$"):
+        registration.pose("camera", "organ", SECOND + 6 * SECOND // 10)
+    camera_at(registration, SECOND + SECOND // 5, np.eye(4))
+    assert not registration.awaits("camera", "organ", SECOND + SECOND // 10)
+    assert registration.pose("camera", "organ", SECOND + SECOND // 10).doubt == ""
+
+
+def test_camera_s_pose_the_wrong_way_round_is_named():
+    registration = Registration()
+    registration.put(registration_message(ROOM_FROM_ORGAN, "room"))
+    registration.cameras.put(at(SECOND, np.eye(4), "camera", "room"))
+    with pytest.raises(
+        InvalidInputError, match="camera_pose: the wrong way round, since header.frame_id names"
+    ):
+        registration.pose("camera", "organ", SECOND)
+
+
+def test_tf_knows_the_camera_where_no_topic_does(tf):
+    registration = Registration(tf)
+    registration.put(registration_message(ROOM_FROM_ORGAN, "room"))
+    camera = turned(30.0, [0.2, 0.0, 0.8])
+    tf._buffer.set_transform(at(SECOND, camera, "room", "camera"), "test")
+    pose = registration.pose("camera", "organ", SECOND)
+    np.testing.assert_allclose(pose.motion, np.linalg.inv(camera) @ ROOM_FROM_ORGAN, atol=1e-12)
+    assert pose.told and pose.fixed is not None
+    assert not registration.awaits("camera", "organ", SECOND)
+    assert registration.awaits("camera", "organ", 2 * SECOND)
