@@ -1,4 +1,4 @@
-"""`make demo`: node, replay and score as processes of their own on the bundled phantom; report and picture."""
+"""`make demo`: node, replay and score as processes of their own on the bundled recordings; report and picture."""
 
 import argparse
 import json
@@ -18,11 +18,19 @@ from softtissue_estimator.organ.organ_file import read_organ_file
 from softtissue_estimator.ros.tools.demo_picture import draw, read_recording
 from softtissue_estimator.ros.tools.processes import executable, process, relay
 from softtissue_estimator.ros.tools.scoring import failures, table
-from softtissue_estimator.support.resources import bundled_bag, bundled_checkpoint, bundled_organ
+from softtissue_estimator.support.resources import (
+    bundled_bag,
+    bundled_checkpoint,
+    bundled_organ,
+    bundled_scene,
+)
 
 # Preparing an organ for the first time takes up to minutes on a busy machine; afterwards it is cached.
 START_TIMEOUT_S = 300
 SCORE_TIMEOUT_S = 60.0
+# Kinds of clouds that the bundled scene shows, and under which names its topics are heard: the organ's true pose in the
+# room is the registration.
+SCENE = {"bare": ("/organ_pose_truth:=/registration",)}
 
 
 @dataclass(frozen=True)
@@ -35,6 +43,40 @@ class Options:
     rate: float
     out: Path
     parameters: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ("pairs",)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recording, played to a node with one estimator.
+
+    Attributes
+    ----------
+    input : str
+        What its clouds are: "pairs", or one of `SCENE`.
+    estimator : str
+    bag : Path
+    remap : tuple of str
+        Names of topics, as ROS takes them.
+    snapshot_ns : int or None
+        Stamp of the frame that is kept for the picture.
+    """
+
+    input: str
+    estimator: str
+    bag: Path
+    remap: tuple[str, ...] = ()
+    snapshot_ns: int | None = None
+
+    @property
+    def folder(self) -> str:
+        """Name of the folder of its results."""
+        return self.estimator if self.input == "pairs" else f"{self.input}-{self.estimator}"
+
+    @property
+    def title(self) -> str:
+        """What its table is headed with."""
+        return f"{self.input}: estimator {self.estimator}"
 
 
 def parse(arguments: list[str]) -> Options:
@@ -56,8 +98,17 @@ def parse(arguments: list[str]) -> Options:
         metavar="NAME:=VALUE",
         help="parameter of the node, for example tracking:=false; may be repeated",
     )
+    parser.add_argument(
+        "--input",
+        action="append",
+        choices=("pairs", *SCENE),
+        help="recording to play, may be repeated: clouds with correspondences, or the bundled scene"
+        " (default: all of them; with --bag or --organ pairs alone)",
+    )
     given = parser.parse_args(arguments)
+    own = given.bag is not None or given.organ is not None
     return Options(
+        inputs=tuple(dict.fromkeys(given.input or ("pairs", *(() if own else SCENE)))),
         bag=given.bag or bundled_bag(),
         organ=given.organ or bundled_organ(),
         estimators=tuple(given.estimator or available_estimators()),
@@ -78,36 +129,39 @@ def available_estimators() -> list[str]:
     return [default, *(name for name in others if name != default)]
 
 
-def run_estimator(estimator: str, options: Options, snapshot_ns: int) -> dict[str, Any]:
-    """Replay the bag into a node with one estimator; return the report of the score.
+def play(run: Run, options: Options) -> dict[str, Any]:
+    """Replay a bag into a node with one estimator; return the report of the score.
 
     Raises
     ------
     SoftTissueError
         If a process failed before there was a report.
     """
-    folder = options.out / estimator
+    folder = options.out / run.folder
     folder.mkdir(parents=True)
     report = folder / "report.json"
+    remap = [part for rule in run.remap for part in ("-r", rule)]
     node = [
         str(executable("node")),
         "--ros-args",
         "-p",
-        f"estimator:={estimator}",
+        f"estimator:={run.estimator}",
         "-p",
         f"organ:={options.organ}",
         "-p",
         "organ_root:=['/']",  # whoever calls this names the organ, and may keep its meshes anywhere
     ]
     node += [part for parameter in options.parameters for part in ("-p", parameter)]
-    score = [str(executable("score")), "--report", str(report), "--organ", str(options.organ)]
-    score += ["--snapshot", str(folder / "snapshot.npz"), "--snapshot-stamp", str(snapshot_ns)]
-    replay = [str(executable("replay")), str(options.bag), "--rate", str(options.rate), "--subscribers", "2"]
+    score = [str(executable("score")), "--report", str(report), "--title", run.title]
+    if run.snapshot_ns is not None:
+        score += ["--organ", str(options.organ), "--snapshot", str(folder / "snapshot.npz")]
+        score += ["--snapshot-stamp", str(run.snapshot_ns)]
+    replay = [str(executable("replay")), str(run.bag), "--rate", str(options.rate), "--subscribers", "2"]
     replay += ["--timeout", str(START_TIMEOUT_S), "--report", str(folder / "replay.json")]
     with (
         process(node, stderr=subprocess.PIPE) as node_process,
-        process([*score, "--title", f"estimator {estimator}"], stdout=subprocess.DEVNULL) as score_process,
-        process(replay) as replay_process,
+        process([*score, "--ros-args", *remap], stdout=subprocess.DEVNULL) as score_process,
+        process([*replay, "--ros-args", *remap]) as replay_process,
     ):
         threading.Thread(
             target=relay, args=(node_process.stderr, folder / "node.log"), name="relay", daemon=True
@@ -152,39 +206,58 @@ def _checked(report: dict[str, Any], replayed: dict[str, Any]) -> dict[str, Any]
 
 
 def run(options: Options) -> int:
-    """Run every estimator, write report and picture; return the exit code."""
+    """Play every recording, write report and picture; return the exit code."""
     shutil.rmtree(options.out, ignore_errors=True)
     options.out.mkdir(parents=True)
-    recording = read_recording(options.bag, read_organ_file(options.organ).frame)
-    reports = {}
-    for estimator in options.estimators:
-        print(f"==> {estimator}: starting node, replay and score", flush=True)
-        reports[estimator] = run_estimator(estimator, options, recording.peak_ns)
-    default = options.estimators[0]
-    summary = {"estimator": default, **reports[default], "estimators": reports}
-    (options.out / "report.json").write_text(json.dumps(summary, indent=2) + "\n")
-    print("==> drawing the picture", flush=True)
-    draw(
-        recording, options.organ, options.out / default / "snapshot.npz", default, options.out / "phantom.png"
-    )
+    default, recording, runs = options.estimators[0], None, []
+    if "pairs" in options.inputs:
+        recording = read_recording(options.bag, read_organ_file(options.organ).frame)
+        runs += [Run("pairs", name, options.bag, (), recording.peak_ns) for name in options.estimators]
+    runs += [Run(name, default, bundled_scene(), SCENE[name]) for name in options.inputs if name in SCENE]
+    played = []
+    for each in runs:
+        print(f"==> {each.title}: starting node, replay and score", flush=True)
+        played.append((each, play(each, options)))
+    (options.out / "report.json").write_text(json.dumps(_summary(default, played), indent=2) + "\n")
+    if recording is not None:
+        print("==> drawing the picture", flush=True)
+        snapshot, picture = options.out / default / "snapshot.npz", options.out / "phantom.png"
+        draw(recording, options.organ, snapshot, default, picture)
     print()
-    for estimator, report in reports.items():
-        print(table(report, f"estimator {estimator}{' (default)' if estimator == default else ''}"))
+    for each, report in played:
+        print(table(report, f"{each.title}{' (default)' if each.estimator == default else ''}"))
         print()
     print(f"report {options.out / 'report.json'}   picture {options.out / 'phantom.png'}")
-    return _judge(default, reports)
+    return _judge(default, played)
 
 
-def _judge(default: str, reports: dict[str, dict[str, Any]]) -> int:
+def _summary(default: str, played: list[tuple[Run, dict[str, Any]]]) -> dict[str, Any]:
+    """Gather the reports: that of the first run, those of pairs by estimator, and a row for each."""
+    pairs = {run.estimator: report for run, report in played if run.input == "pairs"}
+    rows = [
+        {
+            "input": run.input,
+            "estimator": run.estimator,
+            "frames": report["frames"],
+            "tre_mm": {when: report["tre_mm"].get(when) for when in ("before", "after")},
+            "latency_ms": report["latency_ms"],
+            "rms_z": report["rms_z"],
+        }
+        for run, report in played
+    ]
+    return {"estimator": default, **played[0][1], "estimators": pairs, "runs": rows}
+
+
+def _judge(default: str, played: list[tuple[Run, dict[str, Any]]]) -> int:
     """Print what is wrong; frames count for every estimator, the error for the default one."""
     code = 0
-    for estimator, report in reports.items():
+    for run, report in played:
         sentences = failures(report)
         if "after" not in report["tre_mm"]:
             sentences.append("target registration error: expected displaced markers to score, got none")
         for sentence in sentences:
-            counts = estimator == default or sentence.startswith("frames")
-            print(f"{'error' if counts else 'note'}: estimator {estimator}: {sentence}", file=sys.stderr)
+            counts = run.estimator == default or sentence.startswith("frames")
+            print(f"{'error' if counts else 'note'}: {run.title}: {sentence}", file=sys.stderr)
             code = 1 if counts else code
     return code
 

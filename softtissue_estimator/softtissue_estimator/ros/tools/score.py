@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.runtime import Spinner, StopRequest, run_tool
 from softtissue_estimator.ros.tools.scoring import Record, failures, make_report, table
 
@@ -61,7 +62,7 @@ class Snapshot:
         self.asked = False
         self.result: tuple[int, FloatArray] | None = None
 
-    def take(self, stamp_ns: int, points: FloatArray) -> None:
+    def take(self, stamp_ns: int, points: FloatArray, _sigma: FloatArray) -> None:
         """Take the estimated positions (m) and the stamp of the cloud they come from."""
         self.result = stamp_ns, points
 
@@ -102,7 +103,51 @@ class Listener:
             node.create_subscription(PointCloud2, f"{name}/deformed_points", self._on_answer, self._qos),
         ]
         node.create_subscription(PointCloud2, "markers_truth", self._on_truth, self._qos)
+        self._listen_to_poses(name)
         self._clouds: Any = None
+
+    def _listen_to_poses(self, name: str) -> None:
+        """Hear where the node has the organ, and where it truly is, if that is told for a room with a moving camera."""
+        from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
+
+        from softtissue_estimator.ros.inputs.registration import Registration
+
+        self._truth = Registration()
+        self._organ_frame = ""
+
+        def take_organ(message: Any) -> None:
+            self._truth.put(message)
+            self._organ_frame = message.child_frame_id
+
+        topics = {"organ_pose_truth": take_organ, "camera_pose": self._truth.cameras.put}
+        for topic, take in topics.items():
+            self._node.create_subscription(TransformStamped, topic, self._told(topic, take), self._qos)
+        self._node.create_subscription(
+            PoseWithCovarianceStamped, f"{name}/registration", self._on_pose, self._qos
+        )
+
+    def _told(self, topic: str, take: Callable[[Any], None]) -> Callable[[Any], None]:
+        def on_message(message: Any) -> None:
+            try:
+                take(message)
+            except InvalidInputError as error:
+                self.problem = f"{topic}: {error}"
+
+        return on_message
+
+    def _on_pose(self, message: Any) -> None:
+        from softtissue_estimator.ros.inputs.conversions import read_pose, stamp_ns
+
+        stamp = stamp_ns(message.header.stamp)
+        if not self._organ_frame:
+            return
+        try:
+            pose = self._truth.pose(message.header.frame_id, self._organ_frame, stamp)
+            self.record.fitted[stamp] = read_pose(message)
+        except InvalidInputError as error:
+            self.problem = f"organ_pose_truth: {error}"
+            return
+        self.record.true_pose[stamp] = pose.motion
 
     def connected(self) -> bool:
         """Say whether the node's answers will be heard."""
@@ -149,8 +194,8 @@ class Listener:
             points = snapshot.points if markers is None else np.concatenate([snapshot.points, markers])
             self._warp(points, snapshot.take)
 
-    def _warp(self, points: FloatArray, take: Callable[[int, FloatArray], None]) -> None:
-        """Ask where preoperative points (m, organ frame) are now; `take` gets stamp and positions."""
+    def _warp(self, points: FloatArray, take: Callable[[int, FloatArray, FloatArray], None]) -> None:
+        """Ask where preoperative points (m, organ frame) are now; `take` gets stamp, positions and sigma."""
         from softtissue_estimator.ros.inputs.conversions import doubles, stamp_ns
 
         def on_response(future: Any) -> None:
@@ -158,15 +203,17 @@ class Listener:
             self.last_news_s = time.monotonic()
             if response is not None and response.result == response.SUCCESS:
                 # The stamp says which cloud the estimate was made from, whichever answer prompted the question.
-                take(stamp_ns(response.header.stamp), np.asarray(response.points).reshape(-1, 3))
+                sigma = np.asarray(response.sigma, dtype=np.float64)
+                take(stamp_ns(response.header.stamp), np.asarray(response.points).reshape(-1, 3), sigma)
 
         self._client.call_async(self._request(points=doubles(points))).add_done_callback(on_response)
 
-    def _take_markers(self, stamp: int, points: FloatArray) -> None:
+    def _take_markers(self, stamp: int, points: FloatArray, sigma: FloatArray) -> None:
         self.record.estimate[stamp] = points
+        if np.isfinite(sigma).all():
+            self.record.sigma[stamp] = sigma
 
     def _on_truth(self, message: Any) -> None:
-        from softtissue_estimator.errors import InvalidInputError
         from softtissue_estimator.ros.inputs.conversions import read_cloud
 
         try:

@@ -24,6 +24,10 @@ class Record:
         True positions of the markers, (k, 3) m, organ frame.
     estimate : dict
         Estimated positions of the markers, (k, 3) m, organ frame.
+    sigma : dict
+        Their standard deviations, (k,) m, where the estimator gives some.
+    fitted, true_pose : dict
+        Pose of the organ's frame in the cloud's, (4, 4) m: as the node fits it, and as it truly is, where that is told.
     reference : (k, 3) float64 or None
         Preoperative positions of the markers, m, organ frame.
     dropped, refused : int
@@ -36,6 +40,9 @@ class Record:
     answered_ns: dict[int, int] = field(default_factory=dict)
     truth: dict[int, FloatArray] = field(default_factory=dict)
     estimate: dict[int, FloatArray] = field(default_factory=dict)
+    sigma: dict[int, FloatArray] = field(default_factory=dict)
+    fitted: dict[int, FloatArray] = field(default_factory=dict)
+    true_pose: dict[int, FloatArray] = field(default_factory=dict)
     reference: FloatArray | None = None
     dropped: int = 0
     refused: int = 0
@@ -45,6 +52,23 @@ class Record:
     def answered(self) -> int:
         """Number of clouds answered."""
         return len(self.sent_ns.keys() & self.answered_ns.keys())
+
+    def scored(self) -> list[int]:
+        """Stamps for which truth and estimate of the markers are there."""
+        return sorted(self.truth.keys() & self.estimate.keys())
+
+    def estimated(self, stamp: int) -> FloatArray:
+        """Estimated positions of the markers, (k, 3) m, in the organ's true frame.
+
+        Where the organ's true pose is told, they are those that a viewer draws in the cloud's frame: with a wrong pose
+        the answer in the organ's frame is of no use.
+        """
+        estimate = self.estimate[stamp]
+        if stamp not in self.fitted or stamp not in self.true_pose:
+            return estimate
+        motion = np.linalg.inv(self.true_pose[stamp]) @ self.fitted[stamp]
+        moved: FloatArray = estimate @ motion[:3, :3].T + motion[:3, 3]
+        return moved
 
     @property
     def unaccounted(self) -> int:
@@ -82,11 +106,11 @@ def target_registration_error_mm(record: Record) -> dict[str, Any]:
     entry a marker. Empty if no frame could be scored.
     """
     reference = record.reference
-    stamps = sorted(record.truth.keys() & record.estimate.keys())
+    stamps = record.scored()
     if reference is None or not stamps:
         return {}
     before = 1e3 * np.stack([np.linalg.norm(record.truth[s] - reference, axis=1) for s in stamps])
-    after = 1e3 * np.stack([np.linalg.norm(record.truth[s] - record.estimate[s], axis=1) for s in stamps])
+    after = 1e3 * np.stack([np.linalg.norm(record.truth[s] - record.estimated(s), axis=1) for s in stamps])
     moved = before.mean(axis=1) >= 1e3 * DISPLACED_M
     if not moved.any():
         return {"scored_frames": len(stamps), "displaced_frames": 0}
@@ -102,6 +126,19 @@ def target_registration_error_mm(record: Record) -> dict[str, Any]:
             for marker in range(before.shape[1])
         ],
     }
+
+
+def root_mean_square_z(record: Record) -> float | None:
+    """Return the root mean square of |error| / (sqrt(3) sigma) over markers and scored frames: 1 is honest.
+
+    None if no frame could be scored or the estimator gives no standard deviations.
+    """
+    squares = [
+        np.square(record.truth[s] - record.estimated(s)).sum(axis=1) / (3.0 * np.square(record.sigma[s]))
+        for s in record.scored()
+        if s in record.sigma
+    ]
+    return float(np.sqrt(np.mean(squares))) if squares else None
 
 
 def _summary(errors: FloatArray) -> dict[str, float]:
@@ -121,6 +158,7 @@ def make_report(record: Record) -> dict[str, Any]:
         "latency_ms": latency_ms(record),
         "stages_ms": stages_ms(record),
         "tre_mm": target_registration_error_mm(record),
+        "rms_z": root_mean_square_z(record),
     }
 
 
@@ -169,6 +207,8 @@ def table(report: dict[str, Any], title: str) -> str:
             lines.append(
                 f"  {name:12}{before['mean']:12.1f}{before['max']:8.1f}{after['mean']:13.1f}{after['max']:8.1f}"
             )
+    if report["rms_z"] is not None:
+        lines.append(f"  rms z    {report['rms_z']:.2f}   (error over sqrt(3) sigma; 1 is honest)")
     return "\n".join(lines)
 
 
