@@ -85,7 +85,7 @@ def test_status_tells_level_counts_and_stages(client, scene):
     stamp = next(stamps)
     client.clouds.publish(scene.cloud(stamp))
     status = client.status_of(stamp)
-    assert (status.level, status.reason) == (OK, "")
+    assert (status.level, status.reason, status.matching) == (OK, "", "pairs")
     assert (status.organ, status.header.frame_id, status.estimator) == ("Test organ", "organ", "elastic")
     assert (status.points_used, status.points_rejected) == (len(scene.points), 0)
     assert 0.1 < status.visible_fraction < 0.4

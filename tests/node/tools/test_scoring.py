@@ -39,6 +39,30 @@ def test_score_counts_and_measures():
     assert "marker 2" in scoring.table(report, "title")
 
 
+def test_error_is_measured_where_a_viewer_draws_if_the_true_pose_is_told():
+    """The answer is off by what the node's pose takes back: 20 mm along x, and a half turn about z."""
+    record = scoring.Record(reference=np.zeros((2, 3)), sent_ns={1: 0}, answered_ns={1: 5})
+    record.truth = {1: np.array([[0.01, 0.0, 0.0], [0.0, 0.02, 0.0]])}
+    record.estimate = {1: np.array([[0.01, 0.003, 0.0], [0.02, -0.02, 0.0]])}
+    turned = np.diag([-1.0, -1.0, 1.0, 1.0])
+    turned[0, 3] = 0.02
+    pose = np.eye(4)
+    pose[:3, 3] = [0.0, 0.1, 0.2]
+    assert scoring.target_registration_error_mm(record)["after"]["max"] > 40.0
+    record.fitted, record.true_pose = {1: pose @ turned}, {1: pose}
+    assert scoring.target_registration_error_mm(record)["after"] == pytest.approx({"mean": 1.5, "max": 3.0})
+
+
+def test_honest_sigma_is_that_of_one_component():
+    record = scoring.Record(reference=np.zeros((2, 3)))
+    record.truth = {1: np.zeros((2, 3)), 2: np.zeros((2, 3))}
+    record.estimate = {1: np.full((2, 3), 0.001), 2: np.full((2, 3), 0.004)}
+    assert scoring.root_mean_square_z(record) is None
+    record.sigma = {1: np.array([0.001, 0.001]), 2: np.array([0.002, 0.002])}
+    assert scoring.root_mean_square_z(record) == pytest.approx(np.sqrt(0.5 * (1.0 + 4.0)))
+    assert "rms z    1.58" in scoring.table(scoring.make_report(record), "title")
+
+
 def test_score_complains_about_lost_frames_and_no_improvement():
     record = scoring.Record(reference=np.zeros((1, 3)))
     record.sent_ns, record.answered_ns = {1: 0, 2: 0}, {1: 5}
