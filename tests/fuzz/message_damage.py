@@ -14,7 +14,7 @@ from softtissue_msgs.msg import Correspondences
 from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints
 
 from fuzz.damage import WHOLE_NUMBERS, damaged_bytes, how_often
-from integration.harness import CAMERA_FROM_ORGAN, Scene, pose_message, registration_message
+from integration.harness import CAMERA_FROM_ORGAN, Scene, pose_message, registration_message, stamp_message
 
 _UNSIGNED = tuple(n for n in WHOLE_NUMBERS if 0 <= n < 2**32)
 _FLOATS = (
@@ -34,8 +34,11 @@ _FLOATS = (
     float("-inf"),
 )
 _MOST_NUMBERS = 300_000
-_NAMES = ("", "x", "y", "z", "ref_x", "ref_y", "ref_z", "rgb", "X", "x" * 5000, "a\nb", "\x1b[2J", "\u202e")
-_FRAMES = ("organ", "camera", "", "/organ", "a" * 5000, "a\nb\x1b[2J", "\u202e\u2028", "ORGAN ")
+_NAMES = (
+    "", "x", "y", "z", "id", "label", "organ_mask", "ref_x", "ref_y", "ref_z", "rgb", "X", "x" * 5000, "a\nb",
+    "\x1b[2J", "\u202e",
+)  # fmt: skip
+_FRAMES = ("organ", "camera", "endoscope", "", "/organ", "a" * 5000, "a\nb\x1b[2J", "\u202e\u2028", "ORGAN ")
 _PATHS = (
     "", "/nowhere", "/proc/1", "/proc/self/mem", "/dev/zero", "x" * 300, "/a" * 3000, "~nosuchuser", "\x1b[2J", ".",
     "/", "..", "/tmp", "/etc/passwd", "organ.yaml", "\n", "//", "~",
@@ -43,7 +46,8 @@ _PATHS = (
 PARAMETERS = (
     "default_sigma_m", "max_displacement_m", "max_reference_distance_m", "minimum_points", "minimum_visible_fraction",
     "maximum_rejected_fraction", "maximum_sigma_m", "frame_budget_s", "no_data_timeout_s", "organ", "organ_root",
-    "estimator", "device", "use_sim_time", "tracking", "autostart", "nobody", "", "a\nb",
+    "estimator", "device", "use_sim_time", "matching", "organ_label", "tracking", "autostart", "nobody", "", "a\nb",
+    "viewpoint",
 )  # fmt: skip
 
 
@@ -54,6 +58,8 @@ def good_message(kind: str, scene: Scene, stamp: int = 10**18) -> list[Any]:
     return [
         {
             "cloud": lambda: scene.cloud(stamp),
+            "bare": lambda: scene.bare_cloud(stamp),
+            "camera_pose": lambda: _camera_pose(stamp),
             "registration": lambda: registration_message(CAMERA_FROM_ORGAN),
             "registration_with_covariance": lambda: pose_message(CAMERA_FROM_ORGAN, 1e-4 * np.eye(6)),
             "warp_points": lambda: WarpPoints.Request(points=[0.01, 0.0, 0.02, -0.01, 0.0, 0.0]),
@@ -62,6 +68,12 @@ def good_message(kind: str, scene: Scene, stamp: int = 10**18) -> list[Any]:
             "parameters": lambda: SetParameters.Request(parameters=[Parameter(name="frame_budget_s")]),
         }[kind]()
     ]
+
+
+def _camera_pose(stamp: int) -> TransformStamped:
+    message = registration_message(CAMERA_FROM_ORGAN, "camera", "endoscope")
+    message.header.stamp = stamp_message(stamp)
+    return message
 
 
 def damaged_message(rng: random.Random, kind: str, scene: Scene) -> list[Any]:

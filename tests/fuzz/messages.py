@@ -19,8 +19,8 @@ else:
 _BYTES_SHARE = 0.25
 _KINDS = (
     ("cloud",) * 8
-    + ("pair",) * 4
-    + ("registration", "registration_with_covariance", "warp_points", "parameters") * 2
+    + ("pair", "bare") * 4
+    + ("registration", "registration_with_covariance", "camera_pose", "warp_points", "parameters") * 2
     + ("load_organ", "reset")
 )
 

@@ -1,6 +1,7 @@
 """A whole node in this process, whose callbacks are called without DDS and whose answers are looked at."""
 
 import contextlib
+import dataclasses
 import time
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,12 @@ _VALUES: dict[str, Any] = {
     "maximum_sigma_m": 0.05,
     "frame_budget_s": 60.0,
     "no_data_timeout_s": 60.0,
+    "tf_timeout_s": 0.0,  # nobody spins while a cloud would wait for its camera's pose
 }
+
+
+# Nobody publishes correspondences here, so that a cloud would not wait for its own.
+_MATCHING = {"cloud": "auto", "pair": "given", "bare": "closest"}
 
 
 class Kept:
@@ -71,6 +77,9 @@ class WatchedNode(EstimatorNode):
     @property
     def counts(self) -> Any:
         return self._counters.counts
+
+    def match_by(self, matching: str) -> None:
+        self._config = dataclasses.replace(self._config, matching=matching)
 
     @property
     def organ_name(self) -> str:
@@ -121,9 +130,11 @@ class NodeInside:
         node = self._node
         self._forget()
         faults = node.boundary.faults
-        if kind in ("cloud", "pair"):
+        if kind in _MATCHING:
+            node.match_by(_MATCHING[kind])
             outcome = self._give_clouds(messages)
-        elif kind.startswith("registration"):
+            node.match_by("auto")
+        elif kind.startswith("registration") or kind == "camera_pose":
             self._subscriptions[kind].callback(messages[0])
             outcome = "taken"
         else:

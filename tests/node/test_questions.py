@@ -214,5 +214,20 @@ def test_estimator_that_needs_correspondences_refuses_in_a_sentence(scene):
 
 def test_cloud_of_nothing_is_refused(stream, scene):
     stream.scene = replace_points(scene, np.full_like(scene.points, np.nan))
-    with pytest.raises(InvalidInputError, match="at least 3 finite ones, got 0 of"):
+    with pytest.raises(
+        InvalidInputError, match=r"at least 3 points near the organ, got 0 of 600 \(600 not finite, 0"
+    ):
         stream.show()
+
+
+def test_cloud_of_other_things_alone_is_refused_and_what_is_far_away_left_out(stream, scene):
+    far = scene.points.copy()
+    far[2:400] += [0.0, 0.0, CONFIG.max_displacement_m + 0.1]
+    far[400:] *= 1e30
+    stream.scene = replace_points(scene, far)
+    with pytest.raises(
+        InvalidInputError, match=r"got 2 of 600 \(.*, 598 further than 150 mm from where it was\)"
+    ):
+        stream.show()
+    far[2] = scene.points[2]
+    assert stream.show().left_out == 597

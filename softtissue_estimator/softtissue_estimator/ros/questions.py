@@ -125,13 +125,15 @@ def ask_about_bare(
         If it cannot be used.
     """
     labels = read_labels(message, config.organ_label)
-    with np.errstate(invalid="ignore", over="ignore"):
-        finite = np.isfinite(cloud.points @ np.ones(3, cloud.points.dtype))
-    kept = finite if labels.organ is None else finite & labels.organ
-    points = transform_points(pose.organ_from_cloud, cloud.points.compress(kept, axis=0))
+    points = transform_points(pose.organ_from_cloud, cloud.points)
+    kept = _near(points, organ, config.max_displacement_m)
+    if labels.organ is not None:
+        kept &= labels.organ
+    if int(kept.sum()) < config.minimum_points:
+        raise _too_few(kept, points, labels.organ, config)
     track = None if labels.track is None else labels.track[kept]
     watch.lap("read")
-    bare, rejected = make_bare_cloud(points, None, config)
+    bare, _ = make_bare_cloud(points.compress(kept, axis=0), None, config)
     bare = replace(
         bare,
         viewpoint=_viewpoint(pose, config.viewpoint),
@@ -139,7 +141,30 @@ def ask_about_bare(
         registration_covariance=pose.covariance_at(organ.centre),
     )
     watch.lap("check")
-    return Bare(bare, None if rejected else track)
+    return Bare(bare, track)
+
+
+def _near(points: FloatArray, organ: Organ, within_m: float) -> NDArray[np.bool_]:
+    """Tell which of (n, 3) points, m, are within a distance of the organ's bounding box; NaN is not."""
+    vertices = organ.surface.vertices
+    low, high = vertices.min(axis=0) - within_m, vertices.max(axis=0) + within_m
+    x, y, z = points.T
+    near = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1]) & (z > low[2]) & (z < high[2])
+    return np.asarray(near)
+
+
+def _too_few(
+    kept: NDArray[np.bool_], points: FloatArray, organ: NDArray[np.bool_] | None, config: EstimatorConfig
+) -> InvalidInputError:
+    finite = np.isfinite(points).all(axis=1)
+    masked = int((finite & ~organ).sum()) if organ is not None else 0
+    count, damaged = int(kept.sum()), int((~finite).sum())
+    far = len(points) - count - damaged - masked
+    return InvalidInputError(
+        f"cloud: expected at least {config.minimum_points} points near the organ, got {count} of {len(points)}"
+        f" ({damaged} not finite, {masked} not of the organ by the cloud's fields,"
+        f" {far} further than {1e3 * config.max_displacement_m:g} mm from where it was)"
+    )
 
 
 def _stamp_s(cloud: Cloud) -> float | None:
