@@ -125,15 +125,22 @@ def ask_about_bare(
         If it cannot be used.
     """
     labels = read_labels(message, config.organ_label)
-    points = transform_points(pose.organ_from_cloud, cloud.points)
-    kept = _near(points, organ, config.max_displacement_m)
-    if labels.organ is not None:
-        kept &= labels.organ
-    if int(kept.sum()) < config.minimum_points:
-        raise _too_few(kept, points, labels.organ, config)
-    track = None if labels.track is None else labels.track[kept]
+    with np.errstate(invalid="ignore", over="ignore"):
+        finite = np.isfinite(cloud.points @ np.ones(3, cloud.points.dtype))
+    # Large clouds are half empty: what is left out first need not be moved.
+    row = np.flatnonzero(finite if labels.organ is None else finite & labels.organ)
+    points = transform_points(pose.organ_from_cloud, cloud.points.take(row, axis=0))
+    near = _near(points, organ, config.max_displacement_m)
+    count = int(near.sum())
+    if count < config.minimum_points:
+        raise InvalidInputError(
+            f"cloud: expected at least {config.minimum_points} points near the organ, got {count} of {len(finite)}"
+            f" ({int((~finite).sum())} not finite, {int(finite.sum()) - len(row)} not of the organ by the cloud's"
+            f" fields, {len(row) - count} further than {1e3 * config.max_displacement_m:g} mm from where it was)"
+        )
+    track = None if labels.track is None else labels.track[row[near]]
     watch.lap("read")
-    bare, _ = make_bare_cloud(points.compress(kept, axis=0), None, config)
+    bare, _ = make_bare_cloud(points.compress(near, axis=0), None, config)
     bare = replace(
         bare,
         viewpoint=_viewpoint(pose, config.viewpoint),
@@ -151,20 +158,6 @@ def _near(points: FloatArray, organ: Organ, within_m: float) -> NDArray[np.bool_
     x, y, z = points.T
     near = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1]) & (z > low[2]) & (z < high[2])
     return np.asarray(near)
-
-
-def _too_few(
-    kept: NDArray[np.bool_], points: FloatArray, organ: NDArray[np.bool_] | None, config: EstimatorConfig
-) -> InvalidInputError:
-    finite = np.isfinite(points).all(axis=1)
-    masked = int((finite & ~organ).sum()) if organ is not None else 0
-    count, damaged = int(kept.sum()), int((~finite).sum())
-    far = len(points) - count - damaged - masked
-    return InvalidInputError(
-        f"cloud: expected at least {config.minimum_points} points near the organ, got {count} of {len(points)}"
-        f" ({damaged} not finite, {masked} not of the organ by the cloud's fields,"
-        f" {far} further than {1e3 * config.max_displacement_m:g} mm from where it was)"
-    )
 
 
 def _stamp_s(cloud: Cloud) -> float | None:
