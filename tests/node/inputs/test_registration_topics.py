@@ -89,3 +89,15 @@ def test_newest_message_of_either_topic_counts_and_one_that_cannot_be_used_is_to
     pose = registration.pose("camera", "organ", 0)
     np.testing.assert_allclose(pose.motion, CAMERA_FROM_ORGAN, atol=1e-12)
     assert pose.covariance is None
+
+
+def test_camera_s_poses_are_heard_and_one_that_cannot_be_used_is_told(node, topics, registration, warnings):
+    message = registration_message(CAMERA_FROM_ORGAN, "room", "camera")
+    node.send("camera_pose", message)
+    assert warnings == ["camera_pose: expected a stamp, since the camera moves, got the stamp 0"]
+    message.header.stamp.sec = 1
+    node.send("camera_pose", message)
+    found = registration.cameras.lookup("room", "camera", 1_000_000_000)
+    np.testing.assert_allclose(found.motion, CAMERA_FROM_ORGAN, atol=1e-12)
+    topics.look_for_kept()
+    assert node.kept == []

@@ -107,3 +107,9 @@ def test_monitors_hear_what_became_of_the_newest_cloud():
     assert of_condition(Condition("active"), Report(OK, total_s=0.01)) == (DiagnosticStatus.OK, "ok")
     refused = of_condition(Condition("active"), Report(INVALID, "expected a cloud, got none"))
     assert refused == (DiagnosticStatus.ERROR, "expected a cloud, got none")
+
+
+def test_status_and_diagnostics_say_what_a_cloud_was_matched_by():
+    found = Report(OK, matching="bare")
+    assert status_message(found, Setup(), Counts()).matching == values(found)["matching"] == "bare"
+    assert status_message(Report(OK), Setup(), Counts()).matching == ""
