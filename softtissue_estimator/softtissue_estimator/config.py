@@ -93,7 +93,10 @@ class EstimatorConfig:
         limits=(1e-5, 0.05),
     )
     max_displacement_m: float = _setting(
-        0.15, "Correspondences that moved further than this are rejected, and points without one that far off the organ.", unit="m", limits=(0.001, 1.0)
+        0.15,
+        "Correspondences that moved further than this are rejected, and points without one that far off the organ.",
+        unit="m",
+        limits=(0.001, 1.0),
     )
     max_reference_distance_m: float = _setting(
         0.01,

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from softtissue_estimator.observation.bare_cloud import CELL_M
 from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.observation.seen_surface import CELL_M
 from softtissue_estimator.organ.mesh import FloatArray, IntArray
 from softtissue_estimator.organ.organ import Organ
 
@@ -38,7 +38,7 @@ def seen_fraction(organ: Organ, places: FloatArray) -> float:
     ----------
     organ : Organ
     places : (c, 3) m
-        On the preoperative surface, each for the piece of surface in a cell of `bare_cloud.CELL_M`.
+        On the preoperative surface, each for the piece of surface in a cell of `seen_surface.CELL_M`.
 
     Returns
     -------

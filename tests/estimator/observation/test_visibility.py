@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 
 from estimator.shapes import ellipsoid, organ_of
-from softtissue_estimator.observation.bare_cloud import BareCloud, seen_surface
+from softtissue_estimator.observation.bare_cloud import BareCloud
 from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.observation.seen_surface import seen_surface
 from softtissue_estimator.observation.visibility import seen_fraction, visible_fraction
 from softtissue_estimator.organ.mesh import face_areas, sample_faces
 
