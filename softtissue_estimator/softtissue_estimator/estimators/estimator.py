@@ -38,8 +38,8 @@ class Estimate(ABC):
     diagnosis : Diagnosis
         What it says about the observation.
     seen : (c, 3) float64 or None
-        Places on the preoperative surface that the observation shows, those alone that belong to the organ, m; None where
-        the estimator does not find that out.
+        Places on the preoperative surface that the observation shows, m, those alone that belong to the organ; None
+        where the estimator does not find that out.
     """
 
     displacement: FloatArray
