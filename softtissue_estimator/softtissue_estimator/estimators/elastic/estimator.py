@@ -148,17 +148,20 @@ class ElasticEstimator(Estimator):
         """Locate points (k, 3) m of the loaded organ once, for `ElasticEstimate.interpolated` in every frame."""
         return self._loaded("interpolation").mesh.interpolation(points)
 
-    def estimate(self, observation: Observation | BareCloud) -> ElasticEstimate:
+    def estimate(self, observation: Observation) -> ElasticEstimate:
         """See `Estimator.estimate`."""
+        return self._answer(observation)
+
+    def estimate_bare(self, cloud: BareCloud) -> ElasticEstimate:
+        """See `Estimator.estimate_bare`."""
+        return self._answer(cloud)
+
+    def _answer(self, observation: Observation | BareCloud) -> ElasticEstimate:
         model = self._loaded("estimate")
         # Matrices of a few hundred rows gain little from a second core, where another program or the tracker's thread
         # is at work on it they wait for it ten times as long as they compute.
         with self._threads.limit(limits=1, user_api="blas"), one_thread():
             return self._estimate(observation, model)
-
-    def estimate_bare(self, cloud: BareCloud) -> ElasticEstimate:
-        """See `Estimator.estimate_bare`."""
-        return self.estimate(cloud)
 
     def _loaded(self, before: str) -> ElasticModel:
         if self._model is None:

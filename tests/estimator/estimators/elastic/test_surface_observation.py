@@ -120,7 +120,7 @@ def test_a_stream_of_bare_clouds_is_followed_from_rest():
         inner = 0.5 * SURFACE.vertices[SURFACE.vertices[:, 0] > 0.0]
         for frame, size in enumerate(np.concatenate([[0.0, 0.0], np.linspace(0.0, 1.0, 10)])):
             cloud = dataclasses.replace(seen(size, rng), stamp_s=1.0 + 0.2 * frame)
-            answer = estimator.estimate(cloud)
+            answer = estimator.estimate_bare(cloud)
         moved, sigma = answer.displacement_at(inner)
         error = np.linalg.norm(moved - bent(inner, 1.0), axis=1)
         assert np.linalg.norm(bent(inner, 1.0), axis=1).mean() > 0.004
@@ -136,7 +136,7 @@ def test_a_bare_cloud_on_its_own_is_explained():
     estimator = ElasticEstimator(CONFIG)
     estimator.load_organ(organ)
     cloud = BareCloud(truth["seen"], np.full(len(truth["seen"]), 0.0005), CAMERA)
-    answer = estimator.estimate(cloud)
+    answer = estimator.estimate_bare(cloud)
     moved, _ = answer.displacement_at(truth["inner"])
     error = np.linalg.norm(moved - truth["displacement"], axis=1).mean()
     assert error < 0.5 * np.linalg.norm(truth["displacement"], axis=1).mean()
@@ -158,4 +158,4 @@ def test_a_cloud_far_from_the_organ_is_refused():
     with pytest.raises(
         InvalidInputError, match=r"expected at least 10 cells of 5 mm within 60 mm of the organ, got 0"
     ):
-        estimator.estimate(far)
+        estimator.estimate_bare(far)

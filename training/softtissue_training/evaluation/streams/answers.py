@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.errors import SoftTissueError
-from softtissue_estimator.estimators.estimator import create_estimator, estimator_names
+from softtissue_estimator.errors import InvalidInputError, SoftTissueError
+from softtissue_estimator.estimators.estimator import Estimate, create_estimator, estimator_names
+from softtissue_estimator.observation.bare_cloud import make_bare_cloud
 from softtissue_estimator.observation.observation import Observation, make_observation
 from softtissue_estimator.organ.organ import Organ
 from softtissue_training.evaluation.case import EvaluationCase
@@ -155,6 +157,8 @@ class StreamMethod:
     def _frame(self, stream: AnyStream, organ: Organ, clouds: Clouds, number: int) -> _Frame:
         seen = clouds.seen[number]
         try:
+            if clouds.bare:
+                return self._bare(stream, organ, clouds, number)
             observation, _ = make_observation(
                 clouds.points[number][seen],
                 clouds.said(number)[seen],
@@ -165,16 +169,28 @@ class StreamMethod:
             # Clouds arrive at the rate of the stream, whatever happened between two of them.
             observation = replace(observation, stamp_s=float(stream.times[number]))
             if self._memoryless is None:
-                return self._estimated(observation, stream.inner)
+                return self._estimated(lambda: self._estimator.estimate(observation), stream.inner)
             case = _case(stream, organ, observation, int(clouds.frames[number]))
             reading = self._memoryless.answer(case)
             return _checked(_Frame(reading.displacement, reading.sigma, reading.seconds))
         except Exception as error:
             return _Frame(failure=_reason(error))
 
-    def _estimated(self, observation: Observation, points: FloatArray) -> _Frame:
+    def _bare(self, stream: AnyStream, organ: Organ, clouds: Clouds, number: int) -> _Frame:
+        """Show a cloud without correspondences."""
+        if self._memoryless is not None:
+            raise InvalidInputError("expected an estimator that answers clouds without correspondences")
+        points = clouds.points[number][clouds.seen[number]]
+        checked, _ = make_bare_cloud(points, stream.told_noise_m, EstimatorConfig())
+        covariance = None
+        if clouds.registration_sigma is not None:
+            covariance = np.diag(np.square(np.repeat(clouds.registration_sigma, 3)))
+        cloud = replace(checked, stamp_s=float(stream.times[number]), registration_covariance=covariance)
+        return self._estimated(lambda: self._estimator.estimate_bare(cloud), stream.inner)
+
+    def _estimated(self, estimate_it: Callable[[], Estimate], points: FloatArray) -> _Frame:
         start, computed = time.perf_counter(), time.thread_time()
-        estimate = self._estimator.estimate(observation)
+        estimate = estimate_it()
         seconds, processor_s = time.perf_counter() - start, time.thread_time() - computed
         displacement, sigma = estimate.displacement_at(points)
         return _checked(

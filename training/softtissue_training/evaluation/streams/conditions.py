@@ -59,6 +59,10 @@ class Clouds:
         (v,) the region that estimators are told.
     event
         Index of the first cloud after what the condition is about has happened; None where it never ends.
+    bare
+        Whether the points come without their preoperative positions.
+    registration_sigma
+        Standard deviations (m, rad) of the registration's error that estimators are told; None where they are not.
     """
 
     reference: FloatArray
@@ -67,6 +71,8 @@ class Clouds:
     frames: IntArray
     attached: BoolArray
     event: int | None = None
+    bare: bool = False
+    registration_sigma: tuple[float, float] | None = None
 
     def said(self, number: int) -> FloatArray:
         """Return the preoperative positions of the points of a cloud, (k, 3) m."""

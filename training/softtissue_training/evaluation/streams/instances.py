@@ -56,4 +56,4 @@ def instances(number: int, organs: int) -> list[Instance]:
 
 def has_pose(condition: str) -> bool:
     """Whether a condition is about an error of the registration, which has an axis and a direction."""
-    return condition.startswith("registration_")
+    return condition.startswith(("registration_", "bare_registration_"))

@@ -97,7 +97,7 @@ def _cells(row: Summary, aim: Summary) -> list[str]:
     low, high = aim["rms_z"]
     return [
         spread(row["errors"]),
-        " / ".join(f"{aim[name]:.1f}" for name in ("mean_mm", "p95_mm", "max_mm")),
+        " / ".join(_target(aim[name]) for name in ("mean_mm", "p95_mm", "max_mm")),
         "-" if found is None else f"{found['rms_z']:.2f}",
         f"{low:.1f} to {high:.1f}" if low else f"at most {high:.1f}",
         "-" if found is None else f"{found['mean_sigma_mm']:.2f}",
@@ -107,3 +107,7 @@ def _cells(row: Summary, aim: Summary) -> list[str]:
         milliseconds(row["time_ms"]),
         milliseconds(row["processor_ms"]),
     ]
+
+
+def _target(millimetres: float | None) -> str:
+    return "-" if millimetres is None else f"{millimetres:.1f}"

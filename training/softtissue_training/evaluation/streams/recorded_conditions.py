@@ -1,4 +1,4 @@
-"""What is wrong with the input in each condition of the suite `bag`: those of moving organs, and two of its own."""
+"""What is wrong with the input in each condition of the suite `bag`: those of moving organs, and some of its own."""
 
 from __future__ import annotations
 
@@ -43,6 +43,19 @@ def stray(stream: Recording, rng: np.random.Generator, pose: int, *, rms_m: floa
     return replace(exact(stream, rng, pose), points=stream.points + with_rms(np.stack(off), rms_m))
 
 
+def bare(stream: Recording, rng: np.random.Generator, pose: int) -> Clouds:
+    """Keep the points alone, not where they were before."""
+    return replace(exact(stream, rng, pose), bare=True)
+
+
+def bare_registration(
+    stream: Recording, rng: np.random.Generator, pose: int, *, degrees: float, shift_m: float
+) -> Clouds:
+    """Keep the points alone, turned and shifted; how exact the registration is, is said as a covariance."""
+    off = registration(stream, rng, pose, degrees=degrees, shift_m=shift_m)
+    return replace(off, bare=True, registration_sigma=(shift_m, np.radians(degrees)))
+
+
 RECORDED_CONDITIONS: Mapping[str, Condition[Recording]] = {
     "exact": exact,
     "registration_2": partial(registration, degrees=2.0, shift_m=0.003),
@@ -53,4 +66,6 @@ RECORDED_CONDITIONS: Mapping[str, Condition[Recording]] = {
     "patch_20": partial(patch, share=0.20, shift_m=0.017),
     "drift_6": partial(drift, end_m=0.006),
     "stray_4": partial(stray, rms_m=0.004),
+    "bare": bare,
+    "bare_registration_5": partial(bare_registration, degrees=5.0, shift_m=0.010),
 }
