@@ -36,7 +36,7 @@ class ObservedPairs:
     components = 3
     turns = 2
     first_sigmas_m: tuple[float, ...] = ()
-    leading_loads = 40, 0
+    leading_loads = 10, 30
     least_sigma_m = 0.0
 
     def __init__(self, patches: ObservedPatches, model: ElasticModel, prior_sigma_m: float) -> None:

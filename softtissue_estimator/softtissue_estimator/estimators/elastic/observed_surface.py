@@ -59,8 +59,8 @@ class SurfaceObservation:
     """
 
     first_sigmas_m: tuple[float, ...] = FIRST_SIGMAS_M
-    turns = 3
-    leading_loads = 30, 20
+    turns = 2
+    leading_loads = 10, 30
     least_sigma_m = LEAST_SIGMA_M
 
     def __init__(

@@ -121,14 +121,13 @@ class Solver:
     def follow(self, start: WarmStart, predicted: Tensor) -> Posterior | None:
         """Explain the observation about the state of an earlier one, in a few milliseconds.
 
-        None where the organ has moved too far since for that. The nodes' displacement is expected to be `predicted`,
-        (n, 3) m.
+        None where the organ has moved too far since for that. `predicted` is what the nodes are expected at, (n, 3) m.
         """
         observed = self._observation.about(predicted, self._registration, REACH_M)
         weight, sigma = np.ones(len(observed.precision)), start.model_sigma_m
         least = LEAST_START_SHARE * equal_variances(start.tangent, observed.nodes, self._prior_sigma_m)
         variances = start.variances.at_least_each(least)
-        for _ in range(observed.turns):
+        for turn in range(observed.turns):
             explain = partial(
                 self._explain,
                 observed,
@@ -142,7 +141,9 @@ class Solver:
                 most_field_m=float(start.variances.field.sqrt()),
             )
             posterior = self._plausible(explain, sigma, observed)
-            observed, residual = self._matched_anew(posterior)
+            residual = posterior.residual
+            if turn + 1 < observed.turns:
+                observed, residual = self._matched_anew(posterior)
             weight = self._misfit.weights(observed, residual, posterior.model_sigma_m)
             misfit = self._misfit.unexplained(observed, residual, weight)
             # Loads that explained the earlier observation closely explain this one at any price, however far they move
