@@ -9,6 +9,10 @@ class SolverDivergedError(SoftTissueError):
     """No equilibrium was found; the message gives the iterations and the residual."""
 
 
+class MovedTooFarError(SoftTissueError):
+    """On its way to equilibrium a body moved further than is of use; the message says how far."""
+
+
 class TrainingFailedError(SoftTissueError):
     """Training cannot go on: its gradients are not finite."""
 

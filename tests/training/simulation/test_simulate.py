@@ -5,6 +5,8 @@ import pytest
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.organs.tetrahedralise import TetMesh, signed_volumes
+from softtissue_training.physics import solver
+from softtissue_training.simulation import simulate as simulation
 from softtissue_training.simulation.boundary_conditions import DENSITY_KG_M3, weight
 from softtissue_training.simulation.recipe import Recipe
 from softtissue_training.simulation.simulate import simulate
@@ -55,6 +57,35 @@ def test_rejections_are_counted():
             counted[reason] = counted.get(reason, 0) + times
     assert counted
     assert set(counted) <= REASONS
+
+
+def test_solves_are_given_up_early_only_where_they_are_refused_in_the_end(monkeypatch):
+    iterations = []
+    find = solver.find_equilibrium
+
+    def counted(*arguments, **options):
+        iterations.append(0)
+        step = solver._newton_step
+
+        def count(*given):
+            iterations[-1] += 1
+            return step(*given)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(solver, "_newton_step", count)
+            return find(*arguments, **options)
+
+    monkeypatch.setattr(solver, "find_equilibrium", counted)
+    recipe = dataclasses.replace(COARSE, force_n=(0.0, 3.0))
+    soon, steps_soon = [simulate(12, number, recipe) for number in range(4)], sum(iterations)
+    iterations.clear()
+    monkeypatch.setattr(simulation, "_HOPELESS", np.inf)
+    late, steps_late = [simulate(12, number, recipe) for number in range(4)], sum(iterations)
+    assert sum(record.rejected.get("moved too far", 0) for record in late) >= 3
+    assert steps_soon < steps_late
+    for one, other in zip(soon, late, strict=True):
+        assert one.rejected == other.rejected
+        np.testing.assert_array_equal(one.simulations[0].displacement, other.simulations[0].displacement)
 
 
 def test_load_cases_share_the_mesh_and_do_not_depend_on_how_many_there_are(samples):

@@ -12,6 +12,7 @@ from softtissue_training.learning.distributed import Ranks
 from softtissue_training.learning.loss import sample_losses, sigma_losses
 from softtissue_training.learning.optimisation import Optimisation
 from softtissue_training.learning.precision import restrict_autocast
+from softtissue_training.learning.softsign import quicken
 from softtissue_training.learning.training_config import TrainingConfig
 
 
@@ -49,10 +50,11 @@ class Learner(Optimisation[UNet]):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             network = UNet(config.spec.architecture)
-        if device.type == "cuda":
-            network = network.to(device, memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
+        # Channels last: convolutions in bfloat16 take half of the time, on a GPU and with AMX.
+        network = network.to(device, memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
         super().__init__(network, config, device, ranks)
         restrict_autocast(self.network, device)
+        quicken(self.network)
         self._outputs: nn.Module | None = None
 
     def initialise(self, example: Tensor) -> dict[str, float]:

@@ -32,6 +32,7 @@ _LOSS_COLUMNS = ("step", "loss", "learning_rate")
 _LOG_COLUMNS = (
     "step",
     "seconds",
+    "processor_s",
     "samples",
     "learning_rate",
     "loss",
@@ -147,6 +148,7 @@ class SimulationRunFiles(RunFiles[ValidationResult]):
         return (
             progress.step,
             round(progress.seconds, 1),
+            round(progress.processor_s, 1),
             len(self._dataset.training),
             f"{rate:.3e}",
             f"{loss:.6f}",

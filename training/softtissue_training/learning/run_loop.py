@@ -92,6 +92,7 @@ class RunLoop(ABC, Generic[DrawnT, ResultT]):
         """Learn, validating and saving now and then, until the schedule ends the run; returns the last validation."""
         progress, schedule = self.progress, self.schedule
         began = time.monotonic() - progress.seconds
+        before = time.process_time() - progress.processor_s
         result: ResultT | None = None
         batches = self.drawn(progress.epoch, progress.batch)
         with self._bar() as bar:
@@ -99,6 +100,7 @@ class RunLoop(ABC, Generic[DrawnT, ResultT]):
                 drawn = next(batches)
                 stopped = self._learn(drawn, began)
                 progress.epoch, progress.batch = drawn.next_place
+                progress.processor_s = time.process_time() - before
                 if schedule.is_validation_due(progress):
                     result = self._validate_and_save()
                     bar.set_postfix(error_mm=f"{1e3 * result.error:.2f}", refresh=False)

@@ -17,7 +17,7 @@ from softtissue_training.learning.batch_source import BatchSource, DrawnBatch, f
 from softtissue_training.learning.dataset import draw_visible
 from softtissue_training.learning.distributed import Ranks
 from softtissue_training.learning.learner import Learner
-from softtissue_training.learning.run_files import STATE, SimulationRunFiles
+from softtissue_training.learning.run_files import STATE, WEIGHTS, SimulationRunFiles
 from softtissue_training.learning.run_loop import RunLoop
 from softtissue_training.learning.run_summary import RunSummary, summarise
 from softtissue_training.learning.schedule import Schedule
@@ -141,6 +141,8 @@ class _Run(RunLoop[DrawnBatch, ValidationResult]):
                 tensorboard=options.tensorboard,
             )
         self.validation = self._make_validation()
+        if options.watch and (out / WEIGHTS).exists():
+            self._measure_best(out / WEIGHTS)
 
     def drawn(self, epoch: int, batch: int) -> Generator[DrawnBatch, None, None]:
         """See `RunLoop.drawn`."""
@@ -190,6 +192,11 @@ class _Run(RunLoop[DrawnBatch, ValidationResult]):
             listed = " ".join(f"{std:.2f}" for std in reached.values())
             tqdm.write(f"output standard deviation of each layer: {listed}")
         return Progress()
+
+    def _measure_best(self, path: Path) -> None:
+        """Measure the best weights so far on the organs that are held out now, which may be more than before."""
+        best = self.validation(load_checkpoint(path).network.to(self.device), self.ranks)
+        self.progress.best_error = best.score
 
     def _load(self, path: Path) -> Progress:
         learner, digest = self.learner, None if self.watch else self.dataset.digest()

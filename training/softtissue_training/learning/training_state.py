@@ -32,6 +32,8 @@ class Progress:
         Times that all samples have been used, and batches of the present epoch that have been.
     seconds
         Time spent, over all parts of the run.
+    processor_s
+        Processor time spent by this process, seconds: what a run costs whose cores are shared with others.
     best_error, best_step
         Lowest score of a validation, for the paper's network its error in metres, and the step after which it was
         reached.
@@ -48,6 +50,7 @@ class Progress:
     epoch: int = 0
     batch: int = 0
     seconds: float = 0.0
+    processor_s: float = 0.0
     best_error: float = float("inf")
     best_step: int = 0
     without_improvement: int = 0
@@ -130,7 +133,10 @@ def load_state(
         }
         if state:
             optimiser.state[weight] = {
-                key: value if key == "step" else value.to(weight.device) for key, value in state.items()
+                key: value
+                if key == "step"
+                else torch.empty_like(weight).copy_(value)  # laid out as the weight
+                for key, value in state.items()
             }
     return Progress(**json.loads(metadata["progress"]))
 

@@ -15,6 +15,7 @@ at the vertices (`averaged_body`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.errors import SolverDivergedError
+from softtissue_training.errors import MovedTooFarError, SolverDivergedError
 from softtissue_training.physics.averaged_body import AveragedBody
 from softtissue_training.physics.body import Body
 from softtissue_training.physics.load import Load
@@ -82,6 +83,7 @@ def solve(
     formulation: Formulation | None = None,
     tolerance: float = 1e-6,
     max_iterations: int = 60,
+    give_up_beyond_m: float = math.inf,
 ) -> Solution:
     """Find the equilibrium displacement of a body under dead nodal forces and pressure.
 
@@ -105,6 +107,9 @@ def solve(
         Residual relative to the largest of load and internal forces at which the solve has converged.
     max_iterations
         Newton steps for each increment of the load.
+    give_up_beyond_m
+        Distance that no vertex may go on the way to equilibrium, metres. Under dead loads Newton's steps come near the
+        largest displacement from below, so that what goes further is not worth to be solved to the end.
 
     Raises
     ------
@@ -112,6 +117,8 @@ def solve(
         Shapes do not match or nothing is fixed.
     SolverDivergedError
         No equilibrium, not even in the smallest increments of the load.
+    MovedTooFarError
+        A vertex went further than `give_up_beyond_m`.
     """
     check_body(vertices, tets, fixed, force)
     if fixed.ndim == 1:
@@ -122,7 +129,9 @@ def solve(
 
     def advance(last: FloatArray, share: float) -> tuple[FloatArray, int]:
         start = _follow_prescribed(body, last, share * moved)
-        return find_equilibrium(body, start, load.times(share), tolerance, max_iterations)
+        return find_equilibrium(
+            body, start, load.times(share), tolerance, max_iterations, give_up_beyond_m=give_up_beyond_m
+        )
 
     displacement, iterations, increments = apply_load(advance, np.zeros_like(vertices, dtype=np.float64))
     internal, loaded = body.internal_force(displacement), load.force(displacement)
@@ -148,7 +157,13 @@ def make_body(
 
 
 def find_equilibrium(
-    body: Body, start: FloatArray, load: Load, tolerance: float, max_iterations: int
+    body: Body,
+    start: FloatArray,
+    load: Load,
+    tolerance: float,
+    max_iterations: int,
+    *,
+    give_up_beyond_m: float = math.inf,
 ) -> tuple[FloatArray, int]:
     """Return the equilibrium displacement, (n, 3), reached by Newton's steps from a start, and their number.
 
@@ -156,6 +171,8 @@ def find_equilibrium(
     ------
     SolverDivergedError
         No equilibrium within `max_iterations`, or no step lowers the energy.
+    MovedTooFarError
+        A vertex went further than `give_up_beyond_m`.
     """
     displacement = start
     for iteration in range(max_iterations + 1):
@@ -165,10 +182,21 @@ def find_equilibrium(
             return displacement, iteration
         if iteration < max_iterations:
             displacement = _newton_step(body, displacement, load, force - internal)
+            _check_distance(displacement, give_up_beyond_m)
     raise SolverDivergedError(
         f"equilibrium needs a relative residual below {tolerance:g} within {max_iterations} iterations, "
         f"got {residual:.3g}"
     )
+
+
+def _check_distance(displacement: FloatArray, allowed_m: float) -> None:
+    if math.isinf(allowed_m):
+        return
+    largest = float(np.linalg.norm(displacement, axis=1).max())
+    if largest > allowed_m:
+        raise MovedTooFarError(
+            f"displacements must stay below {allowed_m:.3f} m on the way to equilibrium, got {largest:.3f} m"
+        )
 
 
 def _residual(body: Body, force: FloatArray, internal: FloatArray) -> float:
