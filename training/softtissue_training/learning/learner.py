@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from softtissue_estimator.estimators.paper.network import UNet, initialise
+from softtissue_training.learning.coarse_convolution import use_products
 from softtissue_training.learning.distributed import Ranks
 from softtissue_training.learning.loss import sample_losses, sigma_losses
 from softtissue_training.learning.optimisation import Optimisation
@@ -55,6 +56,8 @@ class Learner(Optimisation[UNet]):
         super().__init__(network, config, device, ranks)
         restrict_autocast(self.network, device)
         quicken(self.network)
+        if bfloat16 and device.type == "cpu":
+            use_products(self.network.bottleneck)
         self._outputs: nn.Module | None = None
 
     def initialise(self, example: Tensor) -> dict[str, float]:
