@@ -42,6 +42,7 @@ def test_the_coarse_recipe_is_the_fine_one_on_cells_of_twice_the_size():
     [
         ({"loss": "cubic"}, "loss must be one of squared, distance, got 'cubic'"),
         ({"orientations": 24}, "orientations must be 1, 8 or 48, got 24"),
+        ({"ema_decay": 1.0}, "ema_decay must be at least 0 and below 1, got 1.0"),
         ({"visible_share": (0.0, 1.0)}, "visible_share must be two shares"),
         ({"noise_m": (0.002, 0.001)}, "noise must be a range from low to high"),
         ({"correspondences": (0, 5)}, "correspondences must be a range from low to high"),

@@ -141,6 +141,12 @@ def _add_changes(group: Any) -> None:
     group.add_argument("--batch-size", type=positive, metavar="N", help="samples a step")
     group.add_argument("--learning-rate", type=float, metavar="R", help="highest learning rate")
     group.add_argument(
+        "--ema-decay",
+        type=float,
+        metavar="D",
+        help="decay a step of the moving average of the weights, which is what is validated and kept",
+    )
+    group.add_argument(
         "--noise",
         type=float,
         nargs=2,
@@ -167,6 +173,7 @@ def _config_changes(options: argparse.Namespace) -> dict[str, Any]:
         "seed": options.seed,
         "batch_size": options.batch_size,
         "learning_rate": options.learning_rate,
+        "ema_decay": options.ema_decay,
         "noise_m": None if options.noise is None else tuple(1e-3 * value for value in options.noise),
         "correspondences": None if options.correspondences is None else tuple(options.correspondences),
         "larger_box_share": options.larger_boxes,

@@ -119,6 +119,8 @@ class TrainingConfig:
             )
         if self.loss not in get_args(Loss):
             raise InvalidInputError(f"loss must be one of {', '.join(get_args(Loss))}, got {self.loss!r}")
+        if not 0.0 <= self.ema_decay < 1.0:
+            raise InvalidInputError(f"ema_decay must be at least 0 and below 1, got {self.ema_decay}")
         if self.orientations not in (1, 8, 48):
             raise InvalidInputError(f"orientations must be 1, 8 or 48, got {self.orientations}")
         if self.validation_every == 0 and self.redraw:
