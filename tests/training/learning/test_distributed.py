@@ -130,4 +130,4 @@ if __name__ == "__main__":
     with joined(CPU) as ranks:
         gradients = _gradients_of_two_batches(Path(sys.argv[1]), ranks)
         if ranks.writes:
-            save_file(gradients, sys.argv[2])
+            save_file({name: value.contiguous() for name, value in gradients.items()}, sys.argv[2])
