@@ -65,7 +65,8 @@ def add(commands: Commands) -> None:
         metavar="LIST",
         help="of random (organs, with all sweeps), own (the bundled liver), user (the surface named) and real (streams "
         "of organs that move, with the errors of an operating room; writes DIR/real.json and DIR/real.md) and bag (a "
-        "recording with markers, with such errors; writes DIR/bag.json and DIR/bag.md); default: random,own and, with "
+        "recording with markers, with such errors; writes DIR/bag.json and DIR/bag.md) and clouds (poses found in bare "
+        "clouds of simulated livers; writes DIR/clouds.json and DIR/clouds.md); default: random,own and, with "
         "--organ-surface, user; with --quick without own",
     )
     benchmark.add_argument(
@@ -76,7 +77,8 @@ def add(commands: Commands) -> None:
         "--count",
         type=positive,
         metavar="N",
-        help="samples of each suite (default: random 300, own 200, user 1334, as many as in the paper, real 20)",
+        help="samples of each suite (default: random 300, own 200, user 1334, as many as in the paper, real 20, clouds "
+        "20 livers)",
     )
     benchmark.add_argument(
         "--bag",
@@ -118,6 +120,7 @@ def _benchmark(options: argparse.Namespace) -> int:
     from softtissue_training.evaluation.benchmark.pairs import parse_pairs
     from softtissue_training.evaluation.benchmark.plan import NamedSurface, make_plan
     from softtissue_training.evaluation.benchmark.run import run_benchmark
+    from softtissue_training.evaluation.clouds.run import run_clouds
     from softtissue_training.evaluation.methods import parse_methods, relabelled
     from softtissue_training.evaluation.streams.run import run_streams
     from softtissue_training.evaluation.streams.run_recording import run_recording
@@ -162,6 +165,8 @@ def _benchmark(options: argparse.Namespace) -> int:
         )
     if plan.recording is not None:
         print(run_recording(plan.recording, methods, options.out, workers=options.workers, command=command))
+    if plan.clouds is not None:
+        print(run_clouds(plan.clouds, options.out, workers=options.workers, command=command))
     return 0
 
 

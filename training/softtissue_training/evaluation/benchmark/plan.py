@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_training.evaluation.clouds.plan import ORGANS, QUICK_ORGANS, QUICK_VIEWS, VIEWS, CloudPlan
 from softtissue_training.evaluation.measured import Truth
 from softtissue_training.evaluation.metrics import CONDITIONS, Condition
 from softtissue_training.evaluation.observe import ObservationSettings
@@ -16,8 +17,10 @@ from softtissue_training.physics.material import Material
 from softtissue_training.simulation.recipe import Recipe
 from softtissue_training.simulation.reserved_seeds import FIRST_RESERVED_SEED
 
-SUITES = ("random", "own", "user", "real", "bag")
-RANDOM_SEED, OWN_SEED, USER_SEED, REAL_SEED, BAG_SEED = (FIRST_RESERVED_SEED + index for index in range(5))
+SUITES = ("random", "own", "user", "real", "bag", "clouds")
+RANDOM_SEED, OWN_SEED, USER_SEED, REAL_SEED, BAG_SEED, CLOUDS_SEED = (
+    FIRST_RESERVED_SEED + index for index in range(6)
+)
 """One seed each for the suites; the sweeps are of the random suite's organs. That of `bag` draws errors alone."""
 VISIBLE_BINS = ((8, 15), (15, 25), (25, 40), (40, 60))
 """Percent of the surface; with the lower end, without the upper one, except that the last holds all above."""
@@ -27,10 +30,10 @@ SWEEP_BASE = "noise_0mm"
 NU_UNKNOWN = "nu_unknown"
 """All simulations with another Poisson's ratio than the paper's."""
 
-COUNTS = {"random": 300, "own": 200, "user": 1334, "real": 20}
-"""Samples of each suite, of `real` organs that move; 1334 are the paper's."""
+COUNTS = {"random": 300, "own": 200, "user": 1334, "real": 20, "clouds": ORGANS}
+"""Samples of each suite, of `real` organs that move, of `clouds` organs of several views; 1334 are the paper's."""
 SWEEP_COUNT = 60
-QUICK_COUNTS = {"random": 60, "own": 20, "user": 20, "real": 4}
+QUICK_COUNTS = {"random": 60, "own": 20, "user": 20, "real": 4, "clouds": QUICK_ORGANS}
 QUICK_SWEEP_COUNT = 10
 
 _PLAIN_OBSERVATION = ObservationSettings()
@@ -96,19 +99,22 @@ class Plan:
     Attributes
     ----------
     suites
-        Those that figures are drawn of and that pairs of estimators are compared on; not `real` and `bag`.
+        Those that figures are drawn of and that pairs of estimators are compared on; not `real`, `bag` and `clouds`.
     data_sets
         Everything that is simulated for them.
     streams
         The suite `real`, if it is asked for.
     recording
         The suite `bag`, if it is asked for.
+    clouds
+        The suite `clouds`, if it is asked for.
     """
 
     suites: tuple[str, ...]
     data_sets: tuple[DataSet, ...]
     streams: StreamPlan | None = None
     recording: RecordingPlan | None = None
+    clouds: CloudPlan | None = None
 
 
 def condition_of(suite: str) -> str:
@@ -185,12 +191,16 @@ def make_plan(
         )
     data_sets: list[DataSet] = []
     streams: StreamPlan | None = None
+    clouds: CloudPlan | None = None
     for suite in suites:
         if suite == "bag":
             continue
         samples = count or (QUICK_COUNTS if quick else COUNTS)[suite]
         if suite == "real":
             streams = StreamPlan(REAL_SEED, samples)
+            continue
+        if suite == "clouds":
+            clouds = CloudPlan(CLOUDS_SEED, samples, QUICK_VIEWS if quick else VIEWS)
             continue
         if suite == "random":
             sweeps = min(sweep_count or (QUICK_SWEEP_COUNT if quick else SWEEP_COUNT), samples)
@@ -201,8 +211,8 @@ def make_plan(
         seed = OWN_SEED if suite == "own" else USER_SEED
         view = View(condition_of(suite), samples)
         data_sets.append(DataSet(suite, seed, Recipe(), samples, (view,), surface=surfaces[suite]))
-    simulated = tuple(suite for suite in suites if suite not in ("real", "bag"))
-    return Plan(simulated, tuple(data_sets), streams, recording if "bag" in suites else None)
+    simulated = tuple(suite for suite in suites if suite not in ("real", "bag", "clouds"))
+    return Plan(simulated, tuple(data_sets), streams, recording if "bag" in suites else None, clouds)
 
 
 def _random_suite(samples: int, sweeps: int) -> list[DataSet]:

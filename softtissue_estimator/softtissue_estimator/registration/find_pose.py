@@ -1,0 +1,272 @@
+"""The rigid pose of an organ in a bare cloud: without a start, with one, or with landmarks.
+
+The pose is that of the undeformed organ which fits the organ as it is now; `FoundPose.covariance` also says how far a
+soft organ turns about what holds it. Smooth organs have views that several poses explain: whether there is a second one
+is searched for, around the best pose and among all others that were found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.observation.rigid import RigidMotion
+from softtissue_estimator.organ.mesh import SurfaceMesh
+from softtissue_estimator.registration.landmark_pose import landmark_prior
+from softtissue_estimator.registration.oriented_cloud import OrientedCloud
+from softtissue_estimator.registration.pose_score import INDEPENDENT_SHARE, PoseScore
+from softtissue_estimator.registration.pose_search import (
+    RandomSteps,
+    closest_points,
+    global_poses,
+    improve,
+    rivals,
+)
+from softtissue_estimator.registration.pose_surface import PoseSurface
+from softtissue_estimator.registration.poses import PosePrior, Poses, distinct
+
+FloatArray = NDArray[np.float64]
+_Scored = tuple[Poses, FloatArray]
+
+CLEARLY_DIFFERENT_M = 0.015
+"""Mean distance between the organ's points under two poses that are told apart."""
+DEFAULT_START_SIGMAS = (0.020, 0.26)
+"""Standard deviations of a start that states none: m of a translation and rad of a rotation, each component."""
+
+LEAST_MARGIN = 1.2
+"""Of a pose that is not ambiguous; of the logarithm of a likelihood."""
+LEAST_BLIND_MARGIN = 4.0
+"""The same where nobody says from where the cloud is seen: without outlines, wrong poses fit far better."""
+
+_ABOUT = 0.97
+_SECONDS = 3  # poses that are tried to the end as the second one
+_LEAST_OVERLAP = 0.15
+_DRAWN_STARTS = 150
+_SAME_POSE_M = 0.012
+_FIRST_KEPT, _SECOND_KEPT = 24, 8
+_FIRST_STEPS = RandomSteps(turns=3, count=32, shift_m=0.012, turn_rad=0.17, every=3)
+_SECOND_STEPS = RandomSteps(turns=8, count=48)
+_LAST_STEPS = RandomSteps(turns=4, count=48, shift_m=0.006, turn_rad=0.08)
+_RIVAL_STEPS = RandomSteps(turns=6, count=40, kept=6, shift_m=0.012, turn_rad=0.2)
+_RIVAL_CHAINS, _RIVAL_ROUNDS = 8, 3
+# A soft organ turns about what holds it: of simulated livers that were moved by 10 mm on average, the best rigid
+# motion had these standard deviations, each component.
+_HELD_SIGMAS = np.array([0.0045] * 3 + [np.radians(5.5)] * 3)
+_COVARIANCE_STEPS, _COVARIANCE_TURNS = 200, 3
+_FIRST_SIGMAS = np.array([0.003] * 3 + [0.05] * 3)
+_LEAST_VARIANCES = np.array([0.001] * 3 + [0.01] * 3) ** 2
+_AWAY_M = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class FoundPose:
+    """Where an organ is.
+
+    Attributes
+    ----------
+    motion
+        From the organ's frame to the cloud's.
+    covariance
+        (6, 6) of a translation of the organ's centre, m, and a rotation about it, rad, along the organ's axes.
+    rms_m
+        Root mean square distance of the cloud's points to the undeformed organ, weighted by how likely they are on it.
+    overlap
+        Share of the cloud that is on the organ, by that probability, 0 to 1.
+    ambiguous
+        True if a clearly different pose explains the cloud almost as well, or nothing does.
+    second
+        The best of the clearly different poses, however well it explains the cloud; None where there is none.
+    margin
+        Logarithm of how much likelier the cloud is under `motion` than under `second`; infinite without one.
+    message
+        What was found, in a sentence.
+    """
+
+    motion: RigidMotion
+    covariance: FloatArray
+    rms_m: float
+    overlap: float
+    ambiguous: bool
+    second: RigidMotion | None
+    margin: float
+    message: str
+
+
+class PoseFinder:
+    """Finds an organ in clouds.
+
+    Parameters
+    ----------
+    surface
+        Of the organ at rest, organ's frame, m; takes half a second to prepare.
+    """
+
+    def __init__(self, surface: SurfaceMesh) -> None:
+        self._surface = PoseSurface(surface)
+
+    def find(
+        self,
+        points: FloatArray,
+        *,
+        camera: FloatArray | None = None,
+        start: PosePrior | None = None,
+        landmarks: tuple[FloatArray, FloatArray] | None = None,
+    ) -> FoundPose:
+        """Find the organ's pose in a cloud.
+
+        Parameters
+        ----------
+        points
+            (n, 3) m, any frame: a part of the deformed organ, up to about half of them something else.
+        camera
+            (3,) m, where the points are seen from, same frame; the origin of a camera's frame. Without it, nothing is
+            known of outlines, and more views are ambiguous.
+        start
+            What is known of the pose; None for nothing.
+        landmarks
+            At least three places, (m, 3) m in the organ's frame and (m, 3) m in the cloud's; instead of a start.
+
+        Raises
+        ------
+        InvalidInputError
+            Too few points, one that is not finite, landmarks that do not say a pose or do not fit each other, or both
+            a start and landmarks.
+        """
+        if start is not None and landmarks is not None:
+            raise InvalidInputError("registration: expected a start or landmarks, got both")
+        prior = start if landmarks is None else landmark_prior(*landmarks, self._surface.centre)
+        rng = np.random.default_rng(0)
+        scores = [PoseScore(self._surface, cloud, prior) for cloud in _clouds(points, camera)]
+        found = [self._search(score, rng) for score in scores]
+        best = int(np.argmax([values[0] for _, values in found]))
+        pose, value, others = self._best(scores[best], *found[best], rng)
+        for side, (poses, values) in enumerate(found):
+            if side != best:
+                others.append((poses, values))
+        least = LEAST_BLIND_MARGIN if camera is None and prior is None else LEAST_MARGIN
+        return self._described(scores[best], pose, value, others, least, rng)
+
+    def _search(self, score: PoseScore, rng: np.random.Generator) -> _Scored:
+        """Return the best poses and their scores, the best first."""
+        few = self._surface.few
+        if score.prior is None:
+            poses = global_poses(self._surface, score.cloud)
+        else:
+            drawn = score.prior.draw(_DRAWN_STARTS, self._surface.centre, rng)
+            poses = Poses.of([score.prior.mean]).and_also(drawn)
+        poses = closest_points(score, poses)
+        poses = poses[distinct(poses, score(poses, 0.006), few, _SAME_POSE_M, _FIRST_KEPT)]
+        poses = improve(score, poses, _FIRST_STEPS, rng)
+        poses = poses[distinct(poses, score(poses), few, _SAME_POSE_M, _SECOND_KEPT)]
+        poses = improve(score, poses, _SECOND_STEPS, rng)
+        values = score(poses)
+        order = np.argsort(-values, kind="stable")
+        return poses[order], values[order]
+
+    def _best(
+        self, score: PoseScore, poses: Poses, values: FloatArray, rng: np.random.Generator
+    ) -> tuple[RigidMotion, float, list[_Scored]]:
+        """Return the best pose, its score, and all others: a rival that is better takes its place."""
+        pose, value = poses.motion(0), float(values[0])
+        for _ in range(_RIVAL_ROUNDS):
+            against = rivals(score, pose, CLEARLY_DIFFERENT_M, _RIVAL_STEPS, _RIVAL_CHAINS, rng)
+            theirs = score(against)
+            first = int(np.argmax(theirs))
+            if theirs[first] <= value:
+                break
+            better = improve(score, against[np.array([first])], _LAST_STEPS, rng)
+            pose, value = better.motion(0), float(score(better)[0])
+        return pose, value, [(poses, values), (against, theirs)]
+
+    def _described(
+        self,
+        score: PoseScore,
+        pose: RigidMotion,
+        value: float,
+        others: list[_Scored],
+        least_margin: float,
+        rng: np.random.Generator,
+    ) -> FoundPose:
+        second, margin = self._second(score, pose, value, others, rng)
+        if second is not None and margin < 0.0:
+            pose, second, margin = second, pose, -margin
+        fit = score.fit(Poses.of([pose]))
+        weight, height = fit.weight[0], fit.height[0]
+        overlap = float(weight.mean())
+        ambiguous = margin < least_margin
+        message = "one pose explains the cloud"
+        if overlap < _LEAST_OVERLAP:
+            message = f"no pose explains the cloud: of its points, {overlap:.0%} are on the organ"
+        elif ambiguous and second is not None:
+            few = self._surface.few
+            apart_m = np.linalg.norm(second.apply(few) - pose.apply(few), axis=1).mean()
+            message = (
+                f"a second pose, {1e3 * apart_m:.0f} mm away on average, explains the cloud almost as well"
+            )
+        return FoundPose(
+            motion=pose,
+            covariance=_covariance(score, pose, rng),
+            rms_m=float(np.sqrt((weight * height**2).sum() / max(float(weight.sum()), 1e-12))),
+            overlap=overlap,
+            ambiguous=ambiguous or overlap < _LEAST_OVERLAP,
+            second=second,
+            margin=margin,
+            message=message,
+        )
+
+    def _second(
+        self,
+        score: PoseScore,
+        pose: RigidMotion,
+        value: float,
+        others: list[_Scored],
+        rng: np.random.Generator,
+    ) -> tuple[RigidMotion | None, float]:
+        """Return the best of the clearly different poses and the margin over it."""
+        few = self._surface.few
+        poses = others[0][0]
+        for more, _ in others[1:]:
+            poses = poses.and_also(more)
+        values = np.concatenate([each for _, each in others])
+        away = np.linalg.norm(poses.apply(few) - pose.apply(few), axis=2).mean(axis=1)
+        # Rivals were searched for at this distance, and may lie a little nearer.
+        different = away > _ABOUT * CLEARLY_DIFFERENT_M
+        if not different.any():
+            return None, float("inf")
+        poses, values = poses[np.flatnonzero(different)], values[different]
+        kept = distinct(poses, values, few, _SAME_POSE_M, _SECONDS)
+        better = improve(score, poses[kept], _LAST_STEPS, rng)
+        still = np.linalg.norm(better.apply(few) - pose.apply(few), axis=2).mean(axis=1)
+        gained = np.where(still > _ABOUT * CLEARLY_DIFFERENT_M, score(better), -np.inf)
+        poses, values = poses.and_also(better), np.concatenate([values, gained])
+        best = int(np.argmax(values))
+        return poses.motion(best), INDEPENDENT_SHARE * float(value - values[best])
+
+
+def _clouds(points: FloatArray, camera: FloatArray | None) -> list[OrientedCloud]:
+    """Return the cloud as it is seen; from both sides of its plane where nobody says from where."""
+    if camera is not None:
+        return [OrientedCloud(points, np.asarray(camera, dtype=np.float64))]
+    middle = points.mean(axis=0)
+    across = np.linalg.svd(points - middle, full_matrices=False)[2][2]
+    return [
+        OrientedCloud(points, middle + side * _AWAY_M * across, sees_through=False) for side in (1.0, -1.0)
+    ]
+
+
+def _covariance(score: PoseScore, pose: RigidMotion, rng: np.random.Generator) -> FloatArray:
+    """Covariance (6, 6) of the posterior, by weighted random steps, and of what holds the organ."""
+    origin, centre = Poses.of([pose]), score.surface.centre
+    covariance = np.diag(_FIRST_SIGMAS**2)
+    for _ in range(_COVARIANCE_TURNS):
+        steps = rng.multivariate_normal(np.zeros(6), covariance, _COVARIANCE_STEPS)
+        posterior = INDEPENDENT_SHARE * score(origin.moved(steps, centre), every=2)
+        proposed = -0.5 * np.einsum("ka,ka->k", steps, np.linalg.solve(covariance, steps.T).T)
+        weight = np.exp(posterior - proposed - (posterior - proposed).max())
+        weight /= weight.sum()
+        centred = steps - weight @ steps
+        covariance = (centred * weight[:, None]).T @ centred + np.diag(_LEAST_VARIANCES)
+    return np.asarray(covariance + np.diag(_HELD_SIGMAS**2))

@@ -1,0 +1,103 @@
+"""How well a pose of an organ explains a bare cloud.
+
+A point of the cloud is on the organ, near its surface and with its normal, or on something else, anywhere. Where the
+organ would hide what the camera sees behind it, the pose is wrong. So outlines count, and they alone say where along
+its surface a smooth organ is. The organ is deformed by more than the sensor errs, and neighbours share that error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softtissue_estimator.registration.oriented_cloud import SPACING_M, OrientedCloud
+from softtissue_estimator.registration.pose_surface import PoseSurface
+from softtissue_estimator.registration.poses import PosePrior, Poses
+
+FloatArray = NDArray[np.float64]
+
+SIGMA_M = 0.004
+"""Of a point of a deformed organ from the surface of the undeformed one in the best rigid pose."""
+INDEPENDENT_SHARE = 0.1
+"""Of the logarithm of a likelihood that counts neighbours as if their errors were their own, what is evidence."""
+_FOREIGN_SHARE = 0.45
+_FOREIGN_DEPTH_M = 0.10  # over which what is not organ is spread
+_NORMAL_SPREAD = 0.35  # of 1 - cosine between normals, an exponential distribution
+_LEAST_NORMAL_RATIO = 1e-3
+_ALONG_M = 0.008  # along the surface, a sample stands for its surroundings
+_FAR_M = 1.0  # points that are near nothing count as this far away
+_CONTRADICTION = 3.0  # what a cube's worth of surface before what is seen costs
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Where points (n) of a cloud are on the surface under k poses; organ's frame.
+
+    Attributes
+    ----------
+    points, normals
+        (k, n, 3) m and (k, n, 3): of the cloud, and of the surface nearest to them.
+    height
+        (k, n) m above the surface.
+    gain
+        (k, n) logarithm of how much likelier each point is than on something else.
+    weight
+        (k, n) probability that it is on the organ.
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    height: FloatArray
+    gain: FloatArray
+    weight: FloatArray
+
+
+class PoseScore:
+    """Scores poses of a surface in a cloud, in the units of a logarithm of a likelihood; the higher the better."""
+
+    def __init__(self, surface: PoseSurface, cloud: OrientedCloud, prior: PosePrior | None = None) -> None:
+        self.surface, self.cloud, self.prior = surface, cloud, prior
+
+    def __call__(self, poses: Poses, sigma_m: float = SIGMA_M, every: int = 1) -> FloatArray:
+        """Score poses, (k,).
+
+        Parameters
+        ----------
+        sigma_m
+            Standard deviation of the organ's points from its surface, m.
+        every
+            Use so few of the points and samples.
+        """
+        score = every * self.fit(poses, sigma_m, every).gain.sum(axis=1)
+        score -= self._contradiction(poses, every)
+        if self.prior is not None:
+            score += self.prior.log_density(poses, self.surface.centre) / INDEPENDENT_SHARE
+        return np.asarray(score)
+
+    def fit(self, poses: Poses, sigma_m: float = SIGMA_M, every: int = 1) -> Fit:
+        """Compare the cloud with the surface, one point of `every`."""
+        surface = self.surface
+        points = poses.undo(self.cloud.points[::every])
+        turned = poses.undo_turn(self.cloud.normals[::every])
+        nearest, inside = surface.nearest(points)
+        normals = surface.normals[nearest]
+        offset = points - surface.points[nearest]
+        height = np.einsum("knd,knd->kn", offset, normals)
+        along = np.sqrt(np.maximum(np.einsum("knd,knd->kn", offset, offset) - height**2, 0.0))
+        distance = np.where(inside, np.hypot(height, np.maximum(along - _ALONG_M, 0.0)), _FAR_M)
+        cosine = np.clip(np.einsum("knd,knd->kn", normals, turned), -1.0, 1.0)
+        density = np.exp(-0.5 * (distance / sigma_m) ** 2) / (sigma_m * np.sqrt(2.0 * np.pi))
+        alike = np.maximum(2.0 * np.exp((cosine - 1.0) / _NORMAL_SPREAD), _LEAST_NORMAL_RATIO)
+        ratio = (1.0 - _FOREIGN_SHARE) / _FOREIGN_SHARE * _FOREIGN_DEPTH_M * density * alike
+        return Fit(points, normals, height, np.log1p(ratio), ratio / (1.0 + ratio))
+
+    def _contradiction(self, poses: Poses, every: int) -> FloatArray:
+        """Cost of the surface that would hide what is seen, (k,)."""
+        surface, step = self.surface, 2 * every
+        hiding = self.cloud.contradicts(
+            poses.apply(surface.points[::step]), poses.turn(surface.normals[::step])
+        )
+        cubes = step * surface.area / SPACING_M**2
+        return np.asarray(_CONTRADICTION * cubes * hiding.sum(axis=1))

@@ -1,0 +1,1 @@
+"""The suite `clouds`: organs as a stereo laparoscope sees them, as bare clouds in its frame."""
