@@ -2,8 +2,8 @@
 
 import hashlib
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from softtissue_estimator.organ.mesh import (
     SurfaceMesh,
 )
 from softtissue_estimator.organ.mesh_io import StoredMesh, read_mesh
-from softtissue_estimator.organ.organ_checks import check_place, check_size, mirror_hint
+from softtissue_estimator.organ.organ_checks import check_landmarks, check_place, check_size, mirror_hint
 from softtissue_estimator.organ.organ_file import OrganFile, StructureEntry, read_organ_file
 from softtissue_estimator.organ.stray_vertices import warn_of_stray_vertices
 from softtissue_estimator.organ.surface_lookup import SurfaceLookup, build_surface_lookup
@@ -69,6 +69,8 @@ class Organ:
         Coordinate system that its files state, 'LPS' or 'RAS' say; None if they state none.
     tetrahedra : VolumeMesh or None
         What fills it, where its folder says so; None leaves them to whoever needs them.
+    landmarks : mapping
+        Places of the surface by name, (3,) m.
     """
 
     name: str
@@ -80,6 +82,7 @@ class Organ:
     digest: str
     system: str | None = None
     tetrahedra: VolumeMesh | None = None
+    landmarks: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.attached.shape != (len(self.surface.vertices),):
@@ -129,6 +132,7 @@ class Organ:
             self.system,
             self.tetrahedra,
         )
+        other = replace(other, landmarks=self.landmarks)
         for name in ("geometry_digest", "query_points", "structure_points", "surface_lookup"):
             if name in self.__dict__:
                 other.__dict__[name] = self.__dict__[name]
@@ -201,7 +205,8 @@ def load_organ(folder: Path, roots: tuple[Path, ...] | None = None) -> Organ:
     tetrahedra = None
     if file.tetrahedra is not None:
         tetrahedra = read_tetrahedra(file.tetrahedra, file.unit_m, system, stored.mesh)
-    return make_organ(file.name, file.frame, stored.mesh, structures, attached, folder, system, tetrahedra)
+    organ = make_organ(file.name, file.frame, stored.mesh, structures, attached, folder, system, tetrahedra)
+    return replace(organ, landmarks=check_landmarks(file.landmarks, stored.mesh, file.path))
 
 
 def _surface_system(surface: StoredMesh, file: OrganFile) -> str | None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 
+import igl
 import numpy as np
 
 from softtissue_estimator.errors import OrganError
 from softtissue_estimator.organ.mesh import FloatArray, SurfaceMesh, enclosed_volume
 from softtissue_estimator.organ.signed_distance import signed_distance
+from softtissue_estimator.support.yaml_file import shown
 
 # From a rat's liver to twice the largest spleen or liver on record. A unit that is wrong by a factor of ten is wrong
 # by a thousand in volume, and this spans two thousand.
@@ -20,6 +23,7 @@ _STRUCTURE_MARGIN_SHARE = 0.1  # of the diagonal of the organ's bounding box
 # for millimetres at most 0.002.
 _SMALLEST_STRUCTURE_RATIO, _LARGEST_STRUCTURE_RATIO = 0.002, 10.0
 _LEAST_SHARE_INSIDE = 0.3  # of a structure's points, from which on its place needs no further check
+_LANDMARK_REACH_M = 0.010  # from the surface: they are set by hand on pictures
 _CHECKED_POINTS = 1000  # of a structure
 
 _log = logging.getLogger(__name__)
@@ -96,6 +100,41 @@ def check_place(name: str, structure: SurfaceMesh, surface: SurfaceMesh, path: P
             f"{where}: expected it inside the organ, got {100.0 * share:.0f} % of it inside{hint}"
         )
     _log.warning("%s: only %.0f %% of it lies inside the organ", where, 100.0 * share)
+
+
+def check_landmarks(
+    landmarks: Mapping[str, tuple[float, float, float]], surface: SurfaceMesh, path: Path
+) -> dict[str, FloatArray]:
+    """Return landmarks, (3,) m each, or raise OrganError if one is not on the surface.
+
+    Parameters
+    ----------
+    landmarks : mapping
+        m, as `organ.yaml` has them.
+    surface : SurfaceMesh
+        m.
+    path : Path
+        Of `organ.yaml`, for messages.
+    """
+    if not landmarks:
+        return {}
+    places = np.array(list(landmarks.values()))
+    distance = _distance(surface, places)
+    far = int(np.argmax(distance))
+    if distance[far] > _LANDMARK_REACH_M:
+        turned = _distance(surface, places * [-1.0, -1.0, 1.0])
+        hint = "; with x and y negated all are, so one file is in LPS and the other in RAS"
+        raise OrganError(
+            f"{path}, landmarks, {shown(list(landmarks)[far])}: expected a place within "
+            f"{1e3 * _LANDMARK_REACH_M:g} mm of the surface, got one {1e3 * distance[far]:.0f} mm away"
+            f"{hint if turned.max() <= _LANDMARK_REACH_M else ''}"
+        )
+    return dict(zip(landmarks, places, strict=True))
+
+
+def _distance(surface: SurfaceMesh, points: FloatArray) -> FloatArray:
+    squared = igl.point_mesh_squared_distance(points, surface.vertices, surface.faces)[0]
+    return np.sqrt(np.maximum(np.asarray(squared, dtype=np.float64), 0.0))
 
 
 def mirror_hint(surface: SurfaceMesh, points: FloatArray, share: float) -> str:

@@ -1,23 +1,22 @@
 """Read and check `organ.yaml`; every mistake is one sentence that names the key."""
 
-import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from softtissue_estimator.errors import OrganError
-from softtissue_estimator.support.files import can_be_read, expanded, is_file, is_inside, read_limited, real
+from softtissue_estimator.organ.organ_entry import Entry, Source, inside_roots
+from softtissue_estimator.support.files import is_file, is_inside, read_limited, real
 from softtissue_estimator.support.yaml_file import kind_of, read_yaml, shown
 
 FILE_NAME = "organ.yaml"
-_KEYS = {"name", "frame", "unit", "system", "surface", "structures", "attached", "tetrahedra"}
+_KEYS = {"name", "frame", "unit", "system", "surface", "structures", "attached", "tetrahedra", "landmarks"}
 UNITS_M = {"mm": 0.001, "m": 1.0}
 _INDEX = re.compile(r"[+-]?[0-9]{1,18}")
 _MOST_INDEX_BYTES = 16 * 2**20
-_LARGEST_NUMBER = 1e9  # of any length: squares of such do not overflow
-_LONGEST_KEY = 40  # characters of an unknown one that are repeated
+_LONGEST_LANDMARK = 64
 DEFAULT_COLOUR = (0.8, 0.8, 0.8, 1.0)
 
 
@@ -67,6 +66,8 @@ class OrganFile:
         'LPS' or 'RAS', of the surface; None if the file says nothing about it.
     tetrahedra : Path or None
         What fills the surface; None if the file names none.
+    landmarks : mapping
+        Named places of the surface, m.
     """
 
     path: Path
@@ -78,6 +79,7 @@ class OrganFile:
     attached: AttachedEntry | None
     system: str | None = None
     tetrahedra: Path | None = None
+    landmarks: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @property
     def unit_m(self) -> float:
@@ -101,12 +103,12 @@ def read_organ_file(folder: Path, roots: tuple[Path, ...] | None = None) -> Orga
     """
     path = folder / FILE_NAME
     if roots is not None and not is_inside(path, roots):
-        raise OrganError(f"organ {folder}: expected a folder {_inside(roots)}, got one elsewhere")
+        raise OrganError(f"organ {folder}: expected a folder {inside_roots(roots)}, got one elsewhere")
     if not is_file(path):
         raise OrganError(f"organ {folder}: expected a folder with {FILE_NAME}, found none that can be read")
     content = read_yaml(path, OrganError)
-    source = _Source(path, roots)
-    top = _Entry(source, "", content, _KEYS)
+    source = Source(path, roots)
+    top = Entry(source, "", content, _KEYS)
     unit = top.text("unit", required_hint="mm or m")
     if unit not in UNITS_M:
         raise OrganError(f"{path}, unit: expected mm or m, got {shown(unit)}")
@@ -123,6 +125,7 @@ def read_organ_file(folder: Path, roots: tuple[Path, ...] | None = None) -> Orga
         attached=_attached(source, top.value("attached"), UNITS_M[unit]),
         system=system,
         tetrahedra=None if top.value("tetrahedra") is None else top.file("tetrahedra"),
+        landmarks=_landmarks(source, top.value("landmarks"), UNITS_M[unit]),
     )
 
 
@@ -136,20 +139,8 @@ def _frame(path: Path, frame: str) -> str:
     return frame
 
 
-@dataclass(frozen=True)
-class _Source:
-    """A file, and the folders in which what it names has to lie."""
-
-    path: Path
-    roots: tuple[Path, ...] | None
-
-
-def _inside(roots: tuple[Path, ...]) -> str:
-    return f"in one of organ_root ({', '.join(str(root) for root in roots[:2])}{', ...' if len(roots) > 2 else ''})"
-
-
-def _structure(source: _Source, index: int, content: Any) -> StructureEntry:
-    entry = _Entry(source, f"structures[{index}]", content, {"name", "kind", "mesh", "colour"})
+def _structure(source: Source, index: int, content: Any) -> StructureEntry:
+    entry = Entry(source, f"structures[{index}]", content, {"name", "kind", "mesh", "colour"})
     colour = DEFAULT_COLOUR
     given = entry.value("colour")
     if given is not None:
@@ -160,23 +151,41 @@ def _structure(source: _Source, index: int, content: Any) -> StructureEntry:
     return StructureEntry(entry.text("name"), entry.text("kind", default="other"), entry.file("mesh"), colour)
 
 
-def _attached(source: _Source, content: Any, unit_m: float) -> AttachedEntry | None:
+def _landmarks(source: Source, content: Any, unit_m: float) -> dict[str, tuple[float, float, float]]:
+    if content is None:
+        return {}
+    where = f"{source.path}, landmarks"
+    if not isinstance(content, Mapping) or not content:
+        raise OrganError(f"{where}: expected names with three numbers each, got {shown(content)}")
+    entry = Entry(source, "landmarks", content, set(content))
+    found = {}
+    for name, value in content.items():
+        if not isinstance(name, str) or not name.strip() or len(name) > _LONGEST_LANDMARK:
+            raise OrganError(
+                f"{where}: expected names of 1 to {_LONGEST_LANDMARK} letters, got {shown(name)}"
+            )
+        x, y, z = entry.numbers(name, value, (3,))
+        found[name.strip()] = (x * unit_m, y * unit_m, z * unit_m)
+    return found
+
+
+def _attached(source: Source, content: Any, unit_m: float) -> AttachedEntry | None:
     if content is None:
         return None
-    entry = _Entry(source, "attached", content, {"vertices", "spheres", "touching", "patch"})
+    entry = Entry(source, "attached", content, {"vertices", "spheres", "touching", "patch"})
     spheres = []
     for i, item in enumerate(entry.items("spheres")):
-        sphere = _Entry(source, f"attached.spheres[{i}]", item, {"centre", "radius"})
+        sphere = Entry(source, f"attached.spheres[{i}]", item, {"centre", "radius"})
         x, y, z = sphere.numbers("centre", sphere.value("centre"), (3,))
         radius = sphere.positive("radius")
         spheres.append(((x * unit_m, y * unit_m, z * unit_m), radius * unit_m))
     touching = None
     if entry.value("touching") is not None:
-        touch = _Entry(source, "attached.touching", entry.value("touching"), {"mesh", "distance"})
+        touch = Entry(source, "attached.touching", entry.value("touching"), {"mesh", "distance"})
         touching = (touch.file("mesh"), touch.positive("distance") * unit_m)
     patch = None
     if entry.value("patch") is not None:
-        piece = _Entry(source, "attached.patch", entry.value("patch"), {"centre", "share"})
+        piece = Entry(source, "attached.patch", entry.value("patch"), {"centre", "share"})
         x, y, z = piece.numbers("centre", piece.value("centre"), (3,))
         share = piece.positive("share")
         if share >= 1.0:
@@ -187,7 +196,7 @@ def _attached(source: _Source, content: Any, unit_m: float) -> AttachedEntry | N
     return AttachedEntry(_vertex_indices(entry), tuple(spheres), touching, patch)
 
 
-def _vertex_indices(entry: "_Entry") -> tuple[int, ...]:
+def _vertex_indices(entry: Entry) -> tuple[int, ...]:
     given = entry.value("vertices")
     if given is None:
         return ()
@@ -213,76 +222,3 @@ def _vertex_indices(entry: "_Entry") -> tuple[int, ...]:
             )
         indices.append(int(token))
     return tuple(indices)
-
-
-class _Entry:
-    """One mapping of the file, with sentences for what may be wrong in it."""
-
-    def __init__(self, source: _Source, key: str, content: Any, known: set[str]) -> None:
-        self._source, self._path, self._key = source, source.path, key
-        if not isinstance(content, Mapping):
-            what = f"{self._path}, {key}" if key else str(self._path)
-            raise OrganError(f"{what}: expected keys {', '.join(sorted(known))}, got {kind_of(content)}")
-        self._content: Mapping[Any, Any] = content
-        unknown = [str(k) for k in content if k not in known]
-        if unknown:
-            raise OrganError(
-                f"{self.where(unknown[0][:_LONGEST_KEY])}: unknown key, expected one of {', '.join(sorted(known))}"
-            )
-
-    def where(self, key: str) -> str:
-        return f"{self._path}, {self._key}.{key}" if self._key else f"{self._path}, {key}"
-
-    def value(self, key: str) -> Any:
-        return self._content.get(key)
-
-    def text(self, key: str, default: str | None = None, required_hint: str = "text") -> str:
-        value = self.value(key)
-        if value is None and default is not None:
-            return default
-        if not isinstance(value, str) or not value.strip():
-            got = "nothing" if value is None else shown(value)
-            raise OrganError(f"{self.where(key)}: expected {required_hint}, got {got}")
-        return value.strip()
-
-    def file(self, key: str) -> Path:
-        file = self._path.parent / expanded(self.text(key, required_hint="a file name"))
-        roots = self._source.roots
-        if roots is not None and not is_inside(file, roots):
-            raise OrganError(
-                f"{self.where(key)}: expected a file {_inside(roots)}, got one elsewhere: {file}"
-            )
-        if not is_file(file):
-            raise OrganError(f"{self.where(key)}: expected a file, found none at {file}")
-        if not can_be_read(file):
-            raise OrganError(f"{self.where(key)}: expected a file that may be read, got {file}")
-        return file
-
-    def items(self, key: str) -> list[Any]:
-        value = self.value(key)
-        if value is None:
-            return []
-        if not isinstance(value, list):
-            raise OrganError(f"{self.where(key)}: expected a list, got {shown(value)}")
-        return value
-
-    def numbers(self, key: str, value: Any, counts: tuple[int, ...]) -> list[float]:
-        plain = isinstance(value, list) and all(
-            isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in value
-        )
-        if plain and any(abs(v) > _LARGEST_NUMBER for v in value):
-            raise OrganError(
-                f"{self.where(key)}: expected numbers of at most {_LARGEST_NUMBER:g}, got {shown(value)}"
-            )
-        if not plain or len(value) not in counts:
-            wanted = " or ".join(str(c) for c in counts)
-            raise OrganError(f"{self.where(key)}: expected {wanted} numbers, got {shown(value)}")
-        return [float(v) for v in value]
-
-    def positive(self, key: str) -> float:
-        value = self.value(key)
-        number = self.numbers(key, [value], (1,))[0] if isinstance(value, int | float) else 0.0
-        if not number > 0.0:
-            got = "nothing" if value is None else shown(value)
-            raise OrganError(f"{self.where(key)}: expected a positive number, got {got}")
-        return number

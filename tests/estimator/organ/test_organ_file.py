@@ -1,5 +1,6 @@
 """`organ.yaml`: every mistake is one sentence."""
 
+import numpy as np
 import pytest
 
 from estimator.organ_folders import TIP, describe
@@ -10,6 +11,18 @@ BAD_STRUCTURE = [{"name": "x", "mesh": "tumour.ply", "colour": [2, 0, 0]}]
 
 
 MISTAKES = [
+    (
+        {"landmarks": [1, 2, 3]},
+        OrganError,
+        r"landmarks: expected names with three numbers each, got \[1, 2, 3\]",
+    ),
+    ({"landmarks": {"tip": [1, 2]}}, OrganError, r"landmarks.tip: expected 3 numbers, got \[1, 2\]"),
+    ({"landmarks": {"": [1, 2, 3]}}, OrganError, "landmarks: expected names of 1 to 64 letters, got ''"),
+    (
+        {"landmarks": {"far": [0, 0, 900]}},
+        OrganError,
+        r"landmarks, 'far': expected a place within 10 mm of the surface, got one \d+ mm away",
+    ),
     ({"unit": None}, OrganError, "unit: expected mm or m, got nothing"),
     ({"unit": "cm"}, OrganError, "unit: expected mm or m, got 'cm'"),
     (
@@ -86,6 +99,17 @@ def test_mistakes_are_one_sentence(folder, changes, kind, message):
     with pytest.raises(kind, match=message) as caught:
         load_organ(describe(folder, **changes))
     assert "\n" not in str(caught.value)
+
+
+def test_landmarks_are_places_of_the_surface(folder):
+    surface = load_organ(describe(folder)).surface
+    first, last = surface.vertices[3], surface.vertices[-1]
+    named = {"tip": [float(x) for x in 1e3 * first], " notch ": [float(x) for x in 1e3 * last]}
+    organ = load_organ(describe(folder, landmarks=named))
+    assert set(organ.landmarks) == {"tip", "notch"}
+    np.testing.assert_allclose(organ.landmarks["tip"], first, atol=1e-9)
+    free = organ.with_attached(np.zeros(len(surface.vertices), dtype=bool))
+    np.testing.assert_allclose(free.landmarks["notch"], last, atol=1e-9)
 
 
 @pytest.mark.parametrize("text", ["[1, 2", "- a\n- b\n", "", "\x00"])
