@@ -19,12 +19,13 @@ from softtissue_estimator.registration.poses import PosePrior, Poses, distinct, 
 
 CAMERA = np.zeros(3)
 TRUE = RigidMotion(
-    Rotation.from_euler("xyz", [140.0, 35.0, -70.0], degrees=True).as_matrix(), np.array([0.010, -0.005, 0.190])
+    Rotation.from_euler("xyz", [140.0, 35.0, -70.0], degrees=True).as_matrix(),
+    np.array([0.010, -0.005, 0.190]),
 )
 
 
 def seen(surface: SurfaceMesh, pose: RigidMotion = TRUE) -> np.ndarray:
-    """A body as a camera in the origin sees it, with 1 mm of noise, and a wall behind it, which is half of the cloud."""
+    """A body as a camera in the origin sees it, with 1 mm of noise, and as many points of a wall behind it."""
     rng = np.random.default_rng(1)
     points, face, _ = sample_faces(surface, None, 0.003)
     corners = surface.triangles[face]
@@ -72,7 +73,9 @@ def test_pose_is_found_without_a_start(lump, cloud):
     np.testing.assert_allclose(found.covariance, found.covariance.T, atol=1e-12)
     assert np.linalg.eigvalsh(found.covariance)[0] > 0.0
     np.testing.assert_array_equal(cloud, before)
-    second = np.linalg.norm(found.second.apply(lump.vertices) - found.motion.apply(lump.vertices), axis=1).mean()
+    second = np.linalg.norm(
+        found.second.apply(lump.vertices) - found.motion.apply(lump.vertices), axis=1
+    ).mean()
     assert second > 0.8 * CLEARLY_DIFFERENT_M
 
 
@@ -151,7 +154,9 @@ def test_surface_before_what_is_seen_contradicts_it():
     x, y = np.meshgrid(np.linspace(-0.1, 0.1, 60), np.linspace(-0.1, 0.1, 60))
     plate = OrientedCloud(np.stack([x, y, np.full_like(x, 0.2)], axis=-1).reshape(-1, 3), CAMERA)
     np.testing.assert_allclose(plate.normals[:, 2], -1.0, atol=1e-6)  # towards the camera
-    places = np.array([[0.0, 0.0, 0.15], [0.0, 0.0, 0.197], [0.0, 0.0, 0.25], [0.5, 0.0, 0.15], [0.0, 0.0, 0.15]])
+    places = np.array(
+        [[0.0, 0.0, 0.15], [0.0, 0.0, 0.197], [0.0, 0.0, 0.25], [0.5, 0.0, 0.15], [0.0, 0.0, 0.15]]
+    )
     normals = np.array([[0.0, 0.0, -1.0]] * 4 + [[0.0, 0.0, 1.0]])
     # In the way, within the tolerance, behind, beside the picture, and facing away.
     np.testing.assert_array_equal(plate.contradicts(places, normals), [1.0, 0.0, 0.0, 0.0, 0.0])
