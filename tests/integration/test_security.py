@@ -66,7 +66,8 @@ def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
     assert who("request", f"/{NODE}/warp_points") == {"display"}
     for topic in ("deformed_points", "registration"):
         assert who("subscribe", f"/{NODE}/{topic}") == {"display"}
-    for service in node["reply"] - {f"/{NODE}/warp_points"}:
+    assert who("request", f"/{NODE}/register") == {"registration"}
+    for service in node["reply"] - {f"/{NODE}/warp_points", f"/{NODE}/register"}:
         assert who("request", service) == {"operator"}, service
     for topic in node["publish"]:
         assert who("subscribe", topic) - {"tracker", "registration"}, topic

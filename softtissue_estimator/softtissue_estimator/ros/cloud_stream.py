@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
@@ -63,6 +64,11 @@ class CloudStream:
     def is_open(self) -> bool:
         """Whether clouds are taken."""
         return self._intake is not None
+
+    @property
+    def newest(self) -> PointCloud2 | None:
+        """The cloud that arrived last since it was opened, answered or not."""
+        return None if self._intake is None else self._intake.newest_cloud
 
     def open(self) -> str:
         """Begin to answer; return the full name of the topic of clouds."""

@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 from softtissue_msgs.msg import EstimatorStatus, Structures
-from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints
+from softtissue_msgs.srv import LoadOrgan, Register, Reset, WarpPoints
 from visualization_msgs.msg import MarkerArray
 
 from softtissue_estimator.config import EstimatorConfig
@@ -29,6 +29,7 @@ from softtissue_estimator.ros.inputs.registration import Registration
 from softtissue_estimator.ros.inputs.transforms import tf_source
 from softtissue_estimator.ros.managed import CONFIGURING, ManagedNode
 from softtissue_estimator.ros.organ_loading import OrganLoading
+from softtissue_estimator.ros.organ_registration import OrganRegistration
 from softtissue_estimator.ros.outputs.broadcast import RegistrationBroadcast
 from softtissue_estimator.ros.outputs.status import Condition, diagnostics_message
 from softtissue_estimator.ros.publishing import Outputs
@@ -93,6 +94,9 @@ class EstimatorNode(ManagedNode):
             self, self._responder, self._counters, self._registration, self.boundary, lambda: self._config
         )
         self._organ_loading = OrganLoading(self._responder, lambda: self._config, self.boundary)
+        self._organ_registration = OrganRegistration(
+            self._responder, self._registration, lambda: self._config, self.boundary
+        )
         self._warps = ServiceCalls("warp points", MOST_WARPS)
         self._reset_s = -math.inf
         self._create_services()
@@ -104,6 +108,7 @@ class EstimatorNode(ManagedNode):
         # Their callbacks wait for threads; in a group that lets everything else go on meanwhile.
         waiting = ReentrantCallbackGroup()
         self.create_service(LoadOrgan, "~/load_organ", self._on_load_organ, callback_group=waiting)
+        self.create_service(Register, "~/register", self._on_register, callback_group=waiting)
         self.create_service(WarpPoints, "~/warp_points", self._on_warp_points, callback_group=waiting)
         self.create_service(Reset, "~/reset", self._on_reset)
 
@@ -182,6 +187,12 @@ class EstimatorNode(ManagedNode):
             self._config = dataclasses.replace(self._config, organ=request.folder)
             self.set_parameters([Parameter("organ", value=request.folder)])
         return response
+
+    async def _on_register(self, request: Register.Request, response: Register.Response) -> Register.Response:
+        stream = self._stream
+        return await self._organ_registration.answer(
+            request, response, stream.is_open, stream.newest, self.executor
+        )
 
     async def _on_warp_points(
         self, request: WarpPoints.Request, response: WarpPoints.Response

@@ -22,7 +22,7 @@ from softtissue_estimator.ros.inputs.registration import OrganPose, transform_po
 
 FloatArray = NDArray[np.float64]
 
-_OPTICAL = ("_optical", "_optical_frame")
+OPTICAL = ("_optical", "_optical_frame")
 """Ends of the names of frames whose origin is a camera, by the conventions of ROS (REP 103)."""
 
 
@@ -166,7 +166,7 @@ def _stamp_s(cloud: Cloud) -> float | None:
 
 def _viewpoint(pose: OrganPose, wanted: str) -> FloatArray | None:
     """Return from where a cloud was seen, (3,) m in the organ's frame, if that is known."""
-    camera = pose.fixed is not None or pose.cloud_frame.endswith(_OPTICAL)
+    camera = pose.fixed is not None or pose.cloud_frame.endswith(OPTICAL)
     if wanted == "none" or (wanted == "auto" and not camera):
         return None
     return pose.organ_from_cloud[:3, 3].copy()

@@ -61,6 +61,11 @@ class CameraPoses:
         self._lock = threading.Lock()
         self._paths: OrderedDict[tuple[str, str], _Path] = OrderedDict()
 
+    def knows(self, camera: str) -> bool:
+        """Say whether poses of a camera, which has this frame, were told."""
+        with self._lock:
+            return any(frame == camera for _, frame in self._paths)
+
     def put(self, message: TransformStamped) -> None:
         """Take the pose of a camera (`child_frame_id`) in a fixed frame (`header.frame_id`).
 

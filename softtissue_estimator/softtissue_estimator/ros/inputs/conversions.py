@@ -128,16 +128,17 @@ def read_transform(message: TransformStamped, what: str = "registration") -> Flo
     InvalidInputError
         If a number is not finite, the translation is further than `FARTHEST_M` or the quaternion not of unit length.
     """
-    return _rigid(message.transform.rotation, message.transform.translation, what)
+    return read_rigid(message.transform.rotation, message.transform.translation, what)
 
 
 def read_pose(message: PoseWithCovarianceStamped) -> FloatArray:
     """Read a pose, without its covariance, as `read_transform` reads a motion; it names no child."""
     pose = message.pose.pose
-    return _rigid(pose.orientation, pose.position, "registration_with_covariance")
+    return read_rigid(pose.orientation, pose.position, "registration_with_covariance")
 
 
-def _rigid(rotation: Any, translation: Any, what: str) -> FloatArray:
+def read_rigid(rotation: Any, translation: Any, what: str) -> FloatArray:
+    """Read a quaternion and a translation, m, as `read_transform` reads a motion."""
     quaternion = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
     shift = np.array([translation.x, translation.y, translation.z])
     if not (np.isfinite(quaternion).all() and np.isfinite(shift).all()):

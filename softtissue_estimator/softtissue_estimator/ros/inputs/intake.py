@@ -75,6 +75,7 @@ class Intake:
         self._explain = explain
         self._matcher: StampMatcher[PointCloud2, Correspondences] = StampMatcher()
         self.last_cloud_s: float | None = None
+        self.newest_cloud: PointCloud2 | None = None
         events = SubscriptionEventCallbacks(incompatible_qos=self._warn_incompatible)
         self._pairs = node.create_subscription(
             Correspondences, "correspondences", self._take_correspondences, CORRESPONDENCES_QOS
@@ -127,6 +128,7 @@ class Intake:
 
     def _take_cloud(self, message: PointCloud2, info: dict[str, Any]) -> None:
         now = self.last_cloud_s = time.monotonic()
+        self.newest_cloud = message
         lost = self._lost_before(info)
         self._counters.add(received=1 + lost, dropped=lost)
         try:

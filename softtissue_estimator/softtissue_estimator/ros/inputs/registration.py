@@ -136,6 +136,16 @@ class Registration:
         covariance = read_covariance(message.pose.covariance, "registration_with_covariance")
         self._put(OrganPose(message.header.frame_id, organ_frame, motion, covariance, told=True))
 
+    def take(self, pose: OrganPose) -> None:
+        """Take a registration that the node has found itself, which replaces the one before.
+
+        Raises
+        ------
+        InvalidInputError
+            As `put`.
+        """
+        self._put(pose)
+
     def _put(self, pose: OrganPose) -> None:
         # Clouds may arrive in the organ's own frame, of which a covariance says how exact they are.
         if pose.cloud_frame == pose.organ_frame and not np.allclose(pose.motion, np.eye(4), 0.0, _SAME):
