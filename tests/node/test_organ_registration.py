@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from softtissue_msgs.srv import Register
 
 from estimator.lump import make_lump
-from integration.harness import cloud_message
+from integration.harness import cloud_message, registration_message, stamp_message
 from node.awaiting import run
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.observation.rigid import RigidMotion
@@ -109,6 +109,26 @@ def test_pose_becomes_the_registration_where_that_is_asked_for(asked, monkeypatc
     response = doubtful.answer(Register.Request(apply=True))
     assert response.ambiguous and not response.applied
     assert np.isnan(doubtful.registration.age_s)
+
+
+def test_registration_of_a_moving_camera_is_in_the_fixed_frame(asked):
+    frame, camera = "endoscope", np.eye(4)
+    camera[:3, :3] = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
+    camera[:3, 3] = [1.0, 2.0, 3.0]
+    told = registration_message(camera, "room", frame)
+    told.header.stamp = stamp_message(STAMP)
+    asked.registration.cameras.put(told)
+    response = asked.answer(Register.Request(apply=True), frame=frame)
+    assert response.applied and response.header.frame_id == frame
+    assert asked.questions[0].camera is not None
+    pose = asked.registration.pose(frame, "organ", STAMP)
+    assert pose.fixed.cloud_frame == "room"
+    np.testing.assert_allclose(pose.motion[:3, 3], MOTION.translation, atol=1e-9)
+    np.testing.assert_allclose(pose.fixed.motion[:3, :3], camera[:3, :3] @ MOTION.rotation, atol=1e-9)
+    np.testing.assert_allclose(pose.covariance_at(ORGAN.centre), COVARIANCE, rtol=1e-6, atol=1e-12)
+    later = cloud_message(np.ones((9, 3)), ("x", "y", "z"), STAMP + 10**10, frame)
+    response = asked.answer(Register.Request(apply=True), cloud=later)
+    assert not response.applied and "not applied" in response.message
 
 
 def test_points_that_are_not_the_organs_are_not_shown(asked):

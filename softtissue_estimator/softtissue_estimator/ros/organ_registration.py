@@ -18,7 +18,13 @@ from softtissue_estimator.registration.find_pose import DEFAULT_START_SIGMAS, Fo
 from softtissue_estimator.registration.pose_process import PoseQuestion, find_elsewhere
 from softtissue_estimator.registration.poses import PosePrior
 from softtissue_estimator.ros.boundary import Boundary
-from softtissue_estimator.ros.inputs.conversions import FARTHEST_M, check_cloud, read_cloud, read_rigid
+from softtissue_estimator.ros.inputs.conversions import (
+    FARTHEST_M,
+    check_cloud,
+    read_cloud,
+    read_rigid,
+    stamp_ns,
+)
 from softtissue_estimator.ros.inputs.point_labels import read_labels
 from softtissue_estimator.ros.inputs.pose_covariance import at_centre, at_origin, read_covariance
 from softtissue_estimator.ros.inputs.registration import OrganPose, Registration
@@ -105,13 +111,25 @@ class OrganRegistration:
     def _camera(self, frame: str) -> FloatArray | None:
         """Return from where a cloud is seen, (3,) m in its own frame, if that is known."""
         wanted = self._config().viewpoint
-        known = frame.endswith(OPTICAL) or self._registration.cameras.knows(frame)
+        known = frame.endswith(OPTICAL) or self._registration.cameras.fixed_frame(frame) is not None
         return np.zeros(3) if wanted == "camera" or (wanted == "auto" and known) else None
 
     def _apply(self, response: Register.Response, cloud: PointCloud2, organ: Organ) -> None:
+        """Take a pose as the registration: in the fixed frame, if the cloud's camera moves in one."""
+        frame, cameras = cloud.header.frame_id, self._registration.cameras
         motion = read_rigid(response.pose.pose.orientation, response.pose.pose.position, "register")
         covariance = np.array(response.pose.covariance).reshape(6, 6)
-        self._registration.take(OrganPose(cloud.header.frame_id, organ.frame, motion, covariance, told=True))
+        fixed = cameras.fixed_frame(frame)
+        if fixed is not None:
+            found = cameras.lookup(fixed, frame, stamp_ns(cloud.header.stamp))
+            camera = found.motion
+            if camera is None or not abs(found.lag_s) <= self._config().registration_max_age_s:
+                response.message += "; it is not applied, since nobody says where the camera was"
+                return
+            frame, motion = fixed, camera @ motion
+            turned = np.kron(np.eye(2), camera[:3, :3])
+            covariance = turned @ covariance @ turned.T
+        self._registration.take(OrganPose(frame, organ.frame, motion, covariance, told=True))
         response.applied = True
 
 

@@ -61,10 +61,10 @@ class CameraPoses:
         self._lock = threading.Lock()
         self._paths: OrderedDict[tuple[str, str], _Path] = OrderedDict()
 
-    def knows(self, camera: str) -> bool:
-        """Say whether poses of a camera, which has this frame, were told."""
+    def fixed_frame(self, camera: str) -> str | None:
+        """Return the frame in which poses of a camera, which has this frame, were told last; None for no camera."""
         with self._lock:
-            return any(frame == camera for _, frame in self._paths)
+            return next((fixed for fixed, frame in reversed(self._paths) if frame == camera), None)
 
     def put(self, message: TransformStamped) -> None:
         """Take the pose of a camera (`child_frame_id`) in a fixed frame (`header.frame_id`).
