@@ -143,7 +143,7 @@ def test_the_plan_holds_what_the_conditions_say():
 
 def test_wrong_suites_are_said():
     with pytest.raises(
-        InvalidInputError, match="suites: expected some of random, own, user, real, bag, got liver"
+        InvalidInputError, match="suites: expected some of random, own, user, real, bag, clouds, got liver"
     ):
         make_plan(("liver",), {})
     with pytest.raises(InvalidInputError, match="suite user: expected a surface"):

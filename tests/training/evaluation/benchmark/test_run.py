@@ -300,7 +300,10 @@ def test_pairs_are_of_labels_in_the_list():
     ("arguments", "message"),
     [
         (["--estimators", "magic"], "estimators: expected zero, rigid, rbf, fem"),
-        (["--suites", "own,liver"], "suites: expected some of random, own, user, real, bag, got own, liver"),
+        (
+            ["--suites", "own,liver"],
+            "suites: expected some of random, own, user, real, bag, clouds, got own, liver",
+        ),
         (["--suites", "user"], "suite user: expected a surface"),
         (["--organ-surface", "liver.stl"], "--organ-surface and --unit: expected both or neither"),
         (
