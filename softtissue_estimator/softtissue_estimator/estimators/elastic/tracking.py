@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.elastic.improvement import Task, improve
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
@@ -162,12 +163,12 @@ class ElasticTracker:
         # One cloud that nothing before suggests may have been wrong: the next one says whether the organ did move so.
         if (
             memory.before_loss is not None
-            and solver.follow(memory.before_loss, memory.before_loss.tangent.state) is not None
+            and _followed(solver, memory.before_loss, memory.before_loss.tangent.state) is not None
         ):
             memory = self._return_to(memory)
         memory = replace(memory, before_loss=None)
         earlier = memory.state
-        posterior = None if earlier is None else solver.follow(earlier, _predicted(memory, earlier))
+        posterior = None if earlier is None else _followed(solver, earlier, _predicted(memory, earlier))
         if posterior is None or earlier is None:
             before_loss = memory.before_loss if memory.rigid else earlier
             posterior, state = self._start(solver)
@@ -249,6 +250,14 @@ class ElasticTracker:
         with self._lock:
             self._closed = True
         self._executor.shutdown(wait=False, cancel_futures=True)
+
+
+def _followed(solver: Solver, start: WarmStart, predicted: torch.Tensor) -> Posterior | None:
+    """Return `Solver.follow`; None too where nothing that was seen is near the organ where it was."""
+    try:
+        return solver.follow(start, predicted)
+    except InvalidInputError:
+        return None
 
 
 def _predicted(memory: _Memory, earlier: WarmStart) -> torch.Tensor:

@@ -131,6 +131,24 @@ def test_a_stream_of_bare_clouds_is_followed_from_rest():
         estimator.close()
 
 
+def test_an_organ_that_jumps_is_found_again():
+    estimator = ElasticEstimator(dataclasses.replace(CONFIG, tracking=True, tracking_patience_s=60.0))
+    estimator.load_organ(ORGAN)
+    try:
+        rng = np.random.default_rng(8)
+        for frame in range(4):
+            estimator.estimate_bare(dataclasses.replace(seen(0.0, rng), stamp_s=1.0 + 0.2 * frame))
+        right = TOP[:, 0] > 0.02  # all that is seen from now on, 10 to 32 mm from where it was
+        jumped = TOP[right] + bent(TOP[right], 2.0)
+        for frame in range(12):
+            cloud = BareCloud(jumped, np.full(len(jumped), 0.0003), CAMERA, stamp_s=2.0 + 0.2 * frame)
+            answer = estimator.estimate_bare(cloud)
+        error = np.linalg.norm(answer.displacement_at(TOP[right])[0] - bent(TOP[right], 2.0), axis=1)
+        assert error.mean() < 0.4 * np.linalg.norm(bent(TOP[right], 2.0), axis=1).mean()
+    finally:
+        estimator.close()
+
+
 def test_a_bare_cloud_on_its_own_is_explained():
     truth, organ = pushed_case()
     estimator = ElasticEstimator(CONFIG)
