@@ -5,9 +5,7 @@ would stand still; on two cores they also take what an answer needs.
 """
 
 import dataclasses
-import os
 import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +17,7 @@ from softtissue_estimator.estimators.estimator import create_estimator, estimato
 from softtissue_estimator.estimators.handover import read_objects, write_objects
 from softtissue_estimator.inference.device import choose_device
 from softtissue_estimator.organ.organ import Organ, load_organ
-from softtissue_estimator.support.leftovers import run_contained, temporary_folder
+from softtissue_estimator.support.leftovers import child_environment, run_contained, temporary_folder
 from softtissue_estimator.support.log_lines import log_lines
 from softtissue_estimator.support.sentences import one_sentence
 
@@ -94,13 +92,7 @@ def prepare_elsewhere(request: Request, say: Say) -> Prepared:
         # A second process on a GPU would take seconds to begin, and memory.
         config = dataclasses.replace(request.config, device="cpu", precision="auto")
         write_objects(source, dataclasses.replace(request, config=config))
-        environment = {
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
-            "TMPDIR": str(folder),
-            "OMP_NUM_THREADS": "1",
-            "OPENBLAS_NUM_THREADS": "1",
-        }
+        environment = child_environment(one_thread=True, folder=folder)
         try:
             done = run_contained(
                 [str(_WORKER), str(source), str(target)], folder, environment, _TIMEOUT_S, say

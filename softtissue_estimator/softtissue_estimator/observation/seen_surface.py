@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from softtissue_estimator.observation.bare_cloud import BareCloud
-from softtissue_estimator.organ.mesh import BoolArray, FloatArray, sum_by_index
+from softtissue_estimator.observation.plane_normals import cells, plane_normals, towards
+from softtissue_estimator.organ.mesh import FloatArray, sum_by_index
 
 CELL_M = 0.005
 """Side of the cells in which points are averaged: as large as the patches of tracked points."""
@@ -14,7 +14,6 @@ _NEIGHBOURS = 10  # cells whose averages give the plane through one
 _LEAST_NEIGHBOURS = 5  # with fewer, itself among them, a cell shows no surface
 _REACH_M = 0.015  # neighbours farther away are part of something else
 _LEAST_SIGMA_M = 1e-5  # no sensor is surer
-_FARTHEST_CELLS = 1 << 19  # along an axis, 2.6 km: the number of a cell still fits into an integer
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,34 +40,13 @@ class SeenSurface:
 
 def seen_surface(cloud: BareCloud) -> SeenSurface:
     """Average the points of each cell, and find the normals of what they show; cells on their own are left out."""
-    cell = np.floor(cloud.points / CELL_M).clip(-_FARTHEST_CELLS, _FARTHEST_CELLS).astype(np.int64)
-    cell -= cell.min(axis=0)
-    size = cell.max(axis=0) + 1
-    flat = (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]
-    _, member = np.unique(flat, return_inverse=True)
-    count = int(member.max()) + 1
+    member, count = cells(cloud.points, CELL_M)
     weight = 1.0 / np.square(np.maximum(cloud.sigma, _LEAST_SIGMA_M))
     total = sum_by_index(member, weight, count)
     sums = [sum_by_index(member, weight * cloud.points[:, axis], count) for axis in range(3)]
     position = np.column_stack(sums) / total[:, None]
-    normal, whole = _normals(position)
+    normal, neighbours = plane_normals(position, position, _NEIGHBOURS, _REACH_M)
     if cloud.viewpoint is not None:
-        away = np.einsum("cd,cd->c", normal, position - cloud.viewpoint) > 0.0
-        normal[away] *= -1.0
+        normal = towards(normal, position, cloud.viewpoint)
+    whole = neighbours >= _LEAST_NEIGHBOURS
     return SeenSurface(position[whole], normal[whole], total[whole], cloud.viewpoint is not None)
-
-
-def _normals(position: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the normal (c, 3) of each of the places (c, 3), up to its sign, and which have enough neighbours, (c,)."""
-    if len(position) < _LEAST_NEIGHBOURS:
-        return np.zeros_like(position), np.zeros(len(position), dtype=np.bool_)
-    wanted = min(_NEIGHBOURS, len(position))
-    distance, near = cKDTree(position).query(position, wanted, distance_upper_bound=_REACH_M)
-    found = np.isfinite(distance)
-    weight = found.astype(np.float64)
-    beside = position[np.where(found, near, 0)]
-    total = weight.sum(axis=1)
-    centre = np.einsum("ck,ckd->cd", weight, beside) / total[:, None]
-    offset = (beside - centre[:, None]) * weight[:, :, None]
-    _, vectors = np.linalg.eigh(offset.transpose(0, 2, 1) @ offset)
-    return np.ascontiguousarray(vectors[:, :, 0]), total >= _LEAST_NEIGHBOURS

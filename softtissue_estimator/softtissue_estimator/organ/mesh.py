@@ -76,6 +76,11 @@ def sum_by_index(index: IntArray, weights: FloatArray, size: int) -> FloatArray:
     return np.bincount(index, weights=weights, minlength=size).astype(np.float64, copy=False)
 
 
+def unit_rows(vectors: FloatArray) -> FloatArray:
+    """Vectors (n, 3) of length one; zero stays zero."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
+
+
 def enclosed_volume(mesh: SurfaceMesh) -> float:
     """Volume by the divergence theorem, m^3; negative if the faces are wound inward.
 

@@ -7,9 +7,7 @@ same mesh again keeps it (`cache`).
 """
 
 import logging
-import os
 import subprocess
-import sys
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,7 +21,7 @@ from scipy.spatial import cKDTree
 
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.organ.mesh import FloatArray, IntArray, SurfaceMesh, enclosed_volume
-from softtissue_estimator.support.leftovers import run_contained, temporary_folder
+from softtissue_estimator.support.leftovers import child_environment, run_contained, temporary_folder
 
 _log = logging.getLogger(__name__)
 _CUBED_EDGES_PER_VOLUME = 450.0  # edge length = cube root of volume / this; gives 500 to 900 nodes for organs
@@ -199,7 +197,7 @@ def _run_ftetwild(surface: SurfaceMesh, edge_m: float) -> tuple[FloatArray, IntA
         source, target = folder / "surface.npz", folder / "tets.npz"
         np.savez(source, vertices=surface.vertices - centre, faces=surface.faces.astype(np.int32))
         program = [str(_WORKER), str(source), str(target), repr(edge_m), repr(_ENVELOPE_SHARE)]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+        environment = child_environment()
         try:
             done = run_contained(program, folder, environment, _TIMEOUT_S)
         except subprocess.TimeoutExpired as error:

@@ -30,10 +30,11 @@ from softtissue_estimator.estimators.elastic.nodal_sigma import MODEL_ERROR_SHAR
 from softtissue_estimator.estimators.elastic.relevance import Amplitudes, Variances, determine_relevance
 from softtissue_estimator.estimators.estimator import silent
 from softtissue_estimator.inference.device import choose_device
+from softtissue_estimator.observation.plane_normals import plane_normals
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.registration.rigid_icp import IDENTITY, RigidFit, rigid_icp
-from softtissue_estimator.registration.surface_pairs import PairLimits, Pairs, SurfaceMatcher, plane_normals
+from softtissue_estimator.registration.surface_pairs import PairLimits, Pairs, SurfaceMatcher
 from softtissue_estimator.registration.unknown_pose import after, rigid_columns, rigid_step
 
 FloatArray = NDArray[np.float64]
@@ -41,6 +42,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 _VARIANCE_UPDATES = 2  # of the loads, a turn
+_PLANE_NEIGHBOURS = 12  # of a point, whose plane gives its normal
 _INDEPENDENT_PAIRS = 200  # at most so many count in full: neighbours share the error of the model
 
 
@@ -172,7 +174,7 @@ class _Registration:
         self._pose_known, self._pose = pose_known, IDENTITY
         self._settings, self._progress = settings, progress
         self._oriented = normals is not None
-        self._normals = plane_normals(points) if normals is None else normals
+        self._normals = plane_normals(points, points, _PLANE_NEIGHBOURS)[0] if normals is None else normals
         self._model: ElasticModel = build_model(organ, config, choose_device(config.device), progress)
         to_surface = self._model.mesh.interpolation(organ.surface.vertices)
         self._matcher = SurfaceMatcher(organ.surface, to_surface)

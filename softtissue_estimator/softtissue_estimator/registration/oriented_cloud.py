@@ -8,6 +8,7 @@ from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.observation.plane_normals import cells, plane_normals, towards
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -119,16 +120,11 @@ class _DepthMap:
 
 def _thinned(points: FloatArray, camera: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mean points (k, 3) m of cubes that hold at least two, and the normals (k, 3) of the surface there."""
-    cube = np.unique(np.floor(points / SPACING_M).astype(np.int64), axis=0, return_inverse=True)[1].ravel()
-    count = np.bincount(cube)
+    cube, number = cells(points, SPACING_M)
+    count = np.bincount(cube, minlength=number)
     mean = np.stack([np.bincount(cube, points[:, axis]) / count for axis in range(3)], axis=1)[count >= 2]
-    if len(mean) == 0:
-        return mean, mean
-    near = points[cKDTree(points).query(mean, min(_NEIGHBOURS, len(points)))[1]]
-    centred = near - near.mean(axis=1, keepdims=True)
-    normal = np.linalg.eigh(np.einsum("nka,nkb->nab", centred, centred))[1][:, :, 0]
-    away = np.einsum("nd,nd->n", normal, camera - mean) < 0.0
-    return mean, np.where(away[:, None], -normal, normal)
+    normal, _ = plane_normals(mean, points, _NEIGHBOURS)
+    return mean, towards(normal, mean, camera)
 
 
 def _axes_along(forward: FloatArray) -> FloatArray:

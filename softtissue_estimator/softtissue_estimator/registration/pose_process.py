@@ -5,9 +5,7 @@ The search keeps a core busy for seconds and holds Python's lock for parts of th
 
 from __future__ import annotations
 
-import os
 import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +18,7 @@ from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_estimator.registration.find_pose import FoundPose, PoseFinder
 from softtissue_estimator.registration.poses import PosePrior
-from softtissue_estimator.support.leftovers import run_contained, temporary_folder
+from softtissue_estimator.support.leftovers import child_environment, run_contained, temporary_folder
 
 FloatArray = NDArray[np.float64]
 
@@ -64,13 +62,7 @@ def find_elsewhere(question: PoseQuestion) -> FoundPose:
     with temporary_folder() as folder:
         source, target = folder / "question.npz", folder / "answer.npz"
         np.savez(source, **_arrays_of(question), allow_pickle=False)
-        environment = {
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
-            "TMPDIR": str(folder),
-            "OMP_NUM_THREADS": "1",
-            "OPENBLAS_NUM_THREADS": "1",
-        }
+        environment = child_environment(one_thread=True, folder=folder)
         try:
             done = run_contained([str(_WORKER), str(source), str(target)], folder, environment, _TIMEOUT_S)
         except subprocess.TimeoutExpired as error:

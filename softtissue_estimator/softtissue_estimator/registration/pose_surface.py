@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from softtissue_estimator.organ.mesh import SurfaceMesh, face_areas
+from softtissue_estimator.organ.mesh import SurfaceMesh, face_areas, unit_rows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -49,8 +49,7 @@ class PoseSurface:
         corner = np.asarray(igl.per_vertex_normals(surface.vertices, surface.faces))
         weights = rng.dirichlet([1.0, 1.0, 1.0], _SAMPLES)
         self.points: FloatArray = np.einsum("nc,ncd->nd", weights, surface.triangles[face])
-        normals = np.einsum("nc,ncd->nd", weights, corner[surface.faces[face]])
-        self.normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        self.normals = unit_rows(np.einsum("nc,ncd->nd", weights, corner[surface.faces[face]]))
         self.area = float(until[-1]) / _SAMPLES
         self.centre: FloatArray = surface.vertices.mean(axis=0)
         self._tree = cKDTree(self.points)

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.observation.rigid import RigidMotion, fit_rigid
-from softtissue_estimator.organ.mesh import SurfaceMesh
+from softtissue_estimator.organ.mesh import SurfaceMesh, unit_rows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -166,8 +166,7 @@ class _Target:
         self._tree = igl.AABB()
         self._tree.init(surface.vertices, surface.faces)
         corners = surface.triangles
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        self._normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+        self._normal = unit_rows(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
 
     def closest(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Squared distances (n,) m^2, closest points (n, 3) m and the normals (n, 3) there."""

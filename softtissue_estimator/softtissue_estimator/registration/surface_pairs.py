@@ -8,14 +8,11 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 
-from softtissue_estimator.organ.mesh import SurfaceMesh
+from softtissue_estimator.organ.mesh import SurfaceMesh, unit_rows
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-_PLANE_NEIGHBOURS = 12  # of a point, whose plane gives its normal
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +93,7 @@ class SurfaceMatcher:
         distance = np.sqrt(np.maximum(np.asarray(squared, dtype=np.float64), 0.0))
         face = np.asarray(face, dtype=np.int64)
         corners = moved[surface.faces[face]]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+        normal = unit_rows(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
         weights = _barycentric(np.asarray(closest), corners)
         agreement = np.einsum("nd,nd->n", normal, normals)
         if not oriented:
@@ -109,14 +105,6 @@ class SurfaceMatcher:
         on_surface = csr_array((weights.ravel(), columns, start), shape=(len(face), len(surface.vertices)))
         reference = np.einsum("nc,ncd->nd", weights, surface.vertices[surface.faces[face]])
         return Pairs(reference, csr_array(on_surface @ self._to_surface), normal, distance, counted)
-
-
-def plane_normals(points: FloatArray) -> FloatArray:
-    """Return the normals of the planes through each point's neighbours, (n, 3), up to their sign."""
-    neighbours = points[cKDTree(points).query(points, min(_PLANE_NEIGHBOURS, len(points)))[1]]
-    centred = neighbours - neighbours.mean(axis=1, keepdims=True)
-    _, vectors = np.linalg.eigh(np.einsum("nka,nkb->nab", centred, centred))
-    return np.asarray(vectors[:, :, 0], dtype=np.float64)
 
 
 def rim_faces(surface: SurfaceMesh) -> BoolArray:

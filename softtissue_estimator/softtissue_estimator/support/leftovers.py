@@ -110,6 +110,22 @@ def run_contained(
         return subprocess.CompletedProcess(command, child.returncode, _end_of(out), _end_of(err))
 
 
+def child_environment(*, one_thread: bool = False, folder: Path | None = None) -> dict[str, str]:
+    """Return the environment of a program of this package that runs in another process.
+
+    Parameters
+    ----------
+    one_thread : bool
+        Whether libraries of linear algebra are to take one thread alone.
+    folder : Path, optional
+        For its own temporary files.
+    """
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    if one_thread:
+        environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    return environment if folder is None else environment | {"TMPDIR": str(folder)}
+
+
 def _wait_telling(
     child: "subprocess.Popen[bytes]", out: IO[bytes], timeout_s: float, say: Callable[[str], None]
 ) -> None:

@@ -13,7 +13,7 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from softtissue_estimator.organ.mesh import BoolArray, FloatArray, IntArray, SurfaceMesh
+from softtissue_estimator.organ.mesh import BoolArray, FloatArray, IntArray, SurfaceMesh, unit_rows
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
@@ -101,7 +101,7 @@ class MovedSurface:
         turned = normal[:, :1] * np.cross(second, third)
         turned += normal[:, 1:2] * np.cross(third, first)
         turned += normal[:, 2:] * np.cross(first, second)
-        return _unit(turned)
+        return unit_rows(turned)
 
 
 def _rest_normals(surface: SurfaceMesh, samples: FloatArray) -> FloatArray:
@@ -111,9 +111,4 @@ def _rest_normals(surface: SurfaceMesh, samples: FloatArray) -> FloatArray:
     own = (np.ascontiguousarray(surface.vertices[corners[:, index]]) for index in range(3))
     share = np.asarray(igl.barycentric_coordinates(np.ascontiguousarray(closest), *own)).clip(0.0, 1.0)
     of_vertices = np.asarray(igl.per_vertex_normals(surface.vertices, surface.faces))
-    return _unit(np.einsum("sk,skd->sd", share, of_vertices[corners]))
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.maximum(length, 1e-300))
+    return unit_rows(np.einsum("sk,skd->sd", share, of_vertices[corners]))

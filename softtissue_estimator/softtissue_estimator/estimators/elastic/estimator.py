@@ -13,7 +13,7 @@ from softtissue_estimator.estimators.elastic.doubts import doubts
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
 from softtissue_estimator.estimators.elastic.observed import Matchable, Observed
 from softtissue_estimator.estimators.elastic.observed_pairs import ObservedPairs
-from softtissue_estimator.estimators.elastic.observed_surface import SURFACE_SCALES, SurfaceObservation
+from softtissue_estimator.estimators.elastic.observed_surface import SurfaceObservation
 from softtissue_estimator.estimators.elastic.posterior import Posterior
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError, told_error
 from softtissue_estimator.estimators.elastic.solver import Solver
@@ -171,11 +171,9 @@ class ElasticEstimator(Estimator):
     def _estimate(self, observation: Observation | BareCloud, model: ElasticModel) -> ElasticEstimate:
         watch = device_stopwatch(self._device)
         seen, motion, outliers = self._seen(observation, model, watch)
-        expected = model.registration
+        expected = replace(model.registration, scales=seen.registration_scales)
         if observation.registration_covariance is not None:
             expected = told_error(model.organ.centre, observation.registration_covariance)
-        elif isinstance(observation, BareCloud):
-            expected = replace(expected, scales=SURFACE_SCALES)
         registration = expected
         if self._tracker is not None:
             self._tracker.catch_up(observation.stamp_s)
@@ -203,14 +201,14 @@ class ElasticEstimator(Estimator):
         if isinstance(observation, BareCloud):
             seen = seen_surface(observation)
             watch.lap("match")
-            found = SurfaceObservation(seen, model.moved_surface, config.prior_sigma_m, config.sensor_bias_m)
+            found = SurfaceObservation(seen, model.moved_surface, config.sensor_bias_m)
             return found, IDENTITY, 0.0
         kept = continuous(observation.reference, observation.displacement)
         patches = average_patches(observation if kept.all() else observation.part(kept), model.lookup)
         watch.lap("match")
         motion = fit_patches(patches, config.model_sigma_m)
         watch.lap("rigid")
-        return ObservedPairs(patches, model, config.prior_sigma_m), motion, 1.0 - float(kept.mean())
+        return ObservedPairs(patches, model), motion, 1.0 - float(kept.mean())
 
     def _diagnosis(
         self,

@@ -12,10 +12,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+RELEVANT, OTHERS = 10, 30
+"""How many loads with the largest variances a frame considers, and how many that complete them."""
 _LEAST_SHARE = 1e-9  # of the largest variance: what is left beside the chosen loads is rounding
 
 
-def leading_loads(variances: Tensor, least: Tensor, gram: Tensor, relevant: int, others: int) -> Tensor:
+def leading_loads(
+    variances: Tensor, least: Tensor, gram: Tensor, relevant: int = RELEVANT, others: int = OTHERS
+) -> Tensor:
     """Choose loads.
 
     Parameters
@@ -34,29 +38,25 @@ def leading_loads(variances: Tensor, least: Tensor, gram: Tensor, relevant: int,
     (k,) int64
         Their numbers, in order.
     """
-    first = torch.topk(variances, min(relevant, len(variances))).indices
-    if others == 0:
-        return first.sort().values
     root = torch.maximum(variances, least).sqrt().repeat_interleave(3)
     covariance = root[:, None] * gram * root
+    first = torch.topk(variances, min(relevant, len(variances))).indices
     chosen = first.tolist()
-    left = _conditioned(covariance, _columns(first))
+    half = _pivots(covariance, covariance[:, :0], first)
     for _ in range(min(others, len(variances) - len(chosen))):
-        load = int(left.diagonal().view(-1, 3).sum(dim=1).argmax())
-        chosen.append(load)
-        left = _conditioned(left, _columns(torch.tensor([load])))
+        left = covariance.diagonal() - half.square().sum(dim=1)
+        load = left.view(-1, 3).sum(dim=1).argmax()
+        chosen.append(int(load))
+        half = torch.cat([half, _pivots(covariance, half, load[None])], dim=1)
     return torch.tensor(sorted(set(chosen)), device=variances.device)
 
 
-def _columns(loads: Tensor) -> Tensor:
-    return (3 * loads[:, None].cpu() + torch.arange(3)).reshape(-1)
-
-
-def _conditioned(covariance: Tensor, given: Tensor) -> Tensor:
-    """Return what is left of a covariance (k, k) when some of its variables are known."""
-    block = covariance[given[:, None], given]
+def _pivots(covariance: Tensor, half: Tensor, loads: Tensor) -> Tensor:
+    """Return the columns, (3 p, 3 l), that some loads add to the factor (3 p, k) of the others."""
+    columns = (3 * loads[:, None] + torch.arange(3, device=loads.device)).reshape(-1)
+    left = covariance[:, columns] - half @ half[columns].T
+    block = left[columns]
     block.diagonal().add_(_LEAST_SHARE * float(covariance.diagonal().max()))
     factor = torch.linalg.cholesky(block)
-    half = torch.linalg.solve_triangular(factor, covariance[given], upper=False)
-    left: Tensor = covariance - half.T @ half
-    return left
+    added: Tensor = torch.linalg.solve_triangular(factor, left.T, upper=False).T
+    return added

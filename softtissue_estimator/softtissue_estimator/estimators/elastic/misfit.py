@@ -42,7 +42,6 @@ class Misfit:
         unexplained = float(np.average(squared - 1.0 / observed.precision, weights=weight * observed.counts))
         return float(np.sqrt(max(unexplained, 0.0)))
 
-    def model_sigma(self, observed: Observed, unexplained: float) -> float:
+    def model_sigma(self, unexplained: float) -> float:
         """Error of the model, m, where the observation leaves so much unexplained, m."""
-        least = max(self.least_sigma_m, observed.least_sigma_m)
-        return float(np.clip(MODEL_SIGMA_OVER_MISFIT * unexplained, least, MOST_MODEL_SIGMA_M))
+        return float(np.clip(MODEL_SIGMA_OVER_MISFIT * unexplained, self.least_sigma_m, MOST_MODEL_SIGMA_M))

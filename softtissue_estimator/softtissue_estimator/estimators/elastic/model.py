@@ -50,6 +50,7 @@ class ElasticModel:
         Tetrahedron of every sample of the lookup.
     query : (q, n) sparse
         Interpolation from the nodes to `organ.query_points`.
+    moved_surface : MovedSurface
     device : torch.device
         Where the body is.
     """
@@ -63,17 +64,13 @@ class ElasticModel:
     registration: RegistrationError
     sample_tet: IntArray
     query: csr_array
+    moved_surface: MovedSurface
     device: torch.device
 
     @cached_property
     def nodes(self) -> Tensor:
         """Nodes of the mesh, (n, 3) float64 m, on the device."""
         return to_tensor(self.mesh.nodes, self.device)
-
-    @cached_property
-    def moved_surface(self) -> MovedSurface:
-        """The organ's surface, moved by the nodes."""
-        return MovedSurface(self.organ, self.mesh, self.sample_tet)
 
     def surface_interpolation(self, points: FloatArray) -> csr_array:
         """Interpolate from the nodes to points (k, 3) m near the surface, (k, n); one table access a point."""
@@ -124,6 +121,7 @@ def build_model(
         expected_error(organ.centre, config.registration_sigma_m, config.registration_sigma_rad),
         stored["sample_tet"],
         query,
+        MovedSurface(organ, mesh, stored["sample_tet"]),
         device,
     )
 

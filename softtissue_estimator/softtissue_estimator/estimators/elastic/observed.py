@@ -34,6 +34,30 @@ class Conditioned:
     log_evidence: float
 
 
+class Explained(Protocol):
+    """What a posterior says of the observation that it explains."""
+
+    @property
+    def amplitudes(self) -> Amplitudes:
+        """Of the loads and errors."""
+
+    @property
+    def mean(self) -> Tensor:
+        """Displacement of the nodes, (n, 3) float64 m."""
+
+    @property
+    def residual(self) -> FloatArray:
+        """What it leaves of each patch, (c, 3) m."""
+
+    @property
+    def registration(self) -> RegistrationError:
+        """What was supposed of it."""
+
+    @property
+    def registration_step(self) -> FloatArray:
+        """Mean of its error beside the correction that was supposed, (6,) m and rad."""
+
+
 class Matchable(Protocol):
     """An observation that is matched with the organ as it is estimated."""
 
@@ -46,12 +70,12 @@ class Matchable(Protocol):
         """How often a frame that follows another one explains it, at most."""
 
     @property
-    def leading_loads(self) -> tuple[int, int]:
-        """How many loads such a frame considers: the most relevant ones, and others that complete them."""
+    def least_sigma_m(self) -> float:
+        """Error of the model that its patches show at least, m."""
 
     @property
-    def least_sigma_m(self) -> float:
-        """Error of the model that its patches show at least, m, on top of the configuration's."""
+    def registration_scales(self) -> tuple[float, ...]:
+        """Sizes of the registration's error, over the largest that is expected, which its evidence tells apart."""
 
     def about(self, mean: Tensor, registration: RegistrationError, reach_m: float) -> Observed:
         """Match it with the organ.
@@ -71,8 +95,11 @@ class Matchable(Protocol):
             If next to nothing is near the organ.
         """
 
+    def anew(self, explained: Explained, reach_m: float) -> tuple[Observed, FloatArray]:
+        """Match it with the organ as a posterior has it; also what that leaves of the new matches, (c, 3) m."""
 
-class Observed(Matchable, Protocol):
+
+class Observed(Protocol):
     """Patches of surface that were observed, matched.
 
     Attributes
@@ -105,7 +132,7 @@ class Observed(Matchable, Protocol):
         tangent: Tangent,
         registration: RegistrationError,
         precision: FloatArray,
-        variances: Variances | None,
+        variances: Variances,
         updates: int,
         most_field_m: float,
     ) -> Conditioned:
@@ -117,13 +144,10 @@ class Observed(Matchable, Protocol):
         registration : RegistrationError
         precision : (c,) 1/m^2
             Inverse variance of each observed component.
-        variances : Variances or None
-            To start from; None for those before any observation.
+        variances : Variances
+            To start from.
         updates : int
             Of the variances.
         most_field_m : float
             Standard deviation of the field of errors, at most, m.
         """
-
-    def residual(self, mean: Tensor, registration: RegistrationError, amplitudes: Amplitudes) -> FloatArray:
-        """Return what a displacement (n, 3) m and the errors of a posterior leave of each patch, (c, 3) m."""

@@ -6,18 +6,13 @@ import numpy as np
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
-from softtissue_estimator.estimators.elastic.linear_gaussian import (
-    Errors,
-    condition,
-    equal_variances,
-    mean_displacement,
-)
+from softtissue_estimator.estimators.elastic.linear_gaussian import Errors, condition, mean_displacement
 from softtissue_estimator.estimators.elastic.model import ElasticModel
-from softtissue_estimator.estimators.elastic.observed import Conditioned
+from softtissue_estimator.estimators.elastic.observed import Conditioned, Explained
 from softtissue_estimator.estimators.elastic.observed_nodes import ObservedPlaces
-from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
-from softtissue_estimator.estimators.elastic.relevance import Amplitudes, Variances
-from softtissue_estimator.estimators.elastic.smooth_error import FIRST_SIGMA_M, field_columns
+from softtissue_estimator.estimators.elastic.registration_error import REGISTRATION_SCALES, RegistrationError
+from softtissue_estimator.estimators.elastic.relevance import Variances
+from softtissue_estimator.estimators.elastic.smooth_error import field_columns
 from softtissue_estimator.observation.patch_average import ObservedPatches
 from softtissue_estimator.organ.mesh import FloatArray
 
@@ -29,18 +24,16 @@ class ObservedPairs:
     ----------
     patches : ObservedPatches
     model : ElasticModel
-    prior_sigma_m : float
-        As in `EstimatorConfig`.
     """
 
     components = 3
     turns = 2
     first_sigmas_m: tuple[float, ...] = ()
-    leading_loads = 10, 30
     least_sigma_m = 0.0
+    registration_scales = REGISTRATION_SCALES
 
-    def __init__(self, patches: ObservedPatches, model: ElasticModel, prior_sigma_m: float) -> None:
-        self._patches, self._nodes_at_rest, self._prior_sigma_m = patches, model.nodes, prior_sigma_m
+    def __init__(self, patches: ObservedPatches, model: ElasticModel) -> None:
+        self._patches, self._nodes_at_rest = patches, model.nodes
         self._places = ObservedPlaces(model.surface_interpolation(patches.reference), model.device)
         self._field = field_columns(model.nodes.index_select(0, self._places.nodes), patches.reference)
         self._positions = patches.reference + patches.displacement
@@ -61,20 +54,21 @@ class ObservedPairs:
         """Return the same: pairs are given."""
         return self
 
+    def anew(self, explained: Explained, reach_m: float) -> tuple[ObservedPairs, FloatArray]:
+        """Return the same, and what is left of it."""
+        return self, explained.residual
+
     def condition(
         self,
         tangent: Tangent,
         registration: RegistrationError,
         precision: FloatArray,
-        variances: Variances | None,
+        variances: Variances,
         updates: int,
         most_field_m: float,
     ) -> Conditioned:
         """See `Observed.condition`."""
         displacement = registration.corrected(self._positions) - self._patches.reference
-        if variances is None:
-            loads = equal_variances(tangent, self.nodes, self._prior_sigma_m)
-            variances = Variances(loads, loads.new_tensor(FIRST_SIGMA_M**2))
         positions = (self._nodes_at_rest + tangent.state).index_select(0, self.nodes)
         errors = Errors(self._field, registration.columns(positions), most_field_m)
         observed = self._places.sum_up(displacement, precision)
@@ -83,11 +77,3 @@ class ObservedPairs:
         mean = mean_displacement(tangent, amplitudes)
         shown = mean.index_select(0, self.nodes) + errors.displacement(amplitudes)
         return Conditioned(amplitudes, mean, displacement - self._places.at(shown), evidence)
-
-    def residual(self, mean: Tensor, registration: RegistrationError, amplitudes: Amplitudes) -> FloatArray:
-        """See `Observed.residual`."""
-        positions = (self._nodes_at_rest + mean).index_select(0, self.nodes)
-        errors = Errors(self._field, registration.columns(positions))
-        shown = mean.index_select(0, self.nodes) + errors.displacement(amplitudes)
-        displacement = registration.corrected(self._positions) - self._patches.reference
-        return np.asarray(displacement - self._places.at(shown))

@@ -19,15 +19,11 @@ from torch import Tensor
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.elastic.closest_points import MovedSurface
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
-from softtissue_estimator.estimators.elastic.linear_gaussian import (
-    LEAST_FIELD_SIGMA_M,
-    equal_variances,
-    mean_displacement,
-)
-from softtissue_estimator.estimators.elastic.observed import Conditioned
+from softtissue_estimator.estimators.elastic.linear_gaussian import LEAST_FIELD_SIGMA_M, mean_displacement
+from softtissue_estimator.estimators.elastic.observed import Conditioned, Explained
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.relevance import Amplitudes, Variances, determine_relevance
-from softtissue_estimator.estimators.elastic.smooth_error import FIRST_SIGMA_M, field_columns
+from softtissue_estimator.estimators.elastic.smooth_error import field_columns
 from softtissue_estimator.observation.seen_surface import SeenSurface
 from softtissue_estimator.organ.mesh import FloatArray
 
@@ -49,7 +45,7 @@ class SurfaceObservation:
     seen : SeenSurface
     surface : MovedSurface
         Of the organ.
-    prior_sigma_m, sensor_bias_m : float
+    sensor_bias_m : float
         As in `EstimatorConfig`.
 
     Attributes
@@ -60,14 +56,11 @@ class SurfaceObservation:
 
     first_sigmas_m: tuple[float, ...] = FIRST_SIGMAS_M
     turns = 2
-    leading_loads = 10, 30
     least_sigma_m = LEAST_SIGMA_M
+    registration_scales: tuple[float, ...] = SURFACE_SCALES
 
-    def __init__(
-        self, seen: SeenSurface, surface: MovedSurface, prior_sigma_m: float, sensor_bias_m: float
-    ) -> None:
-        self.seen, self.surface = seen, surface
-        self.prior_sigma_m, self.sensor_bias_m = prior_sigma_m, sensor_bias_m
+    def __init__(self, seen: SeenSurface, surface: MovedSurface, sensor_bias_m: float) -> None:
+        self.seen, self.surface, self.sensor_bias_m = seen, surface, sensor_bias_m
         if len(seen.position) < LEAST_PATCHES:
             raise _too_few(len(seen.position), "that show a surface")
         self.field = field_columns(torch.from_numpy(seen.position), seen.position)
@@ -75,6 +68,12 @@ class SurfaceObservation:
     def about(self, mean: Tensor, registration: RegistrationError, reach_m: float) -> ObservedSurface:
         """See `Matchable.about`."""
         return ObservedSurface(self, mean, registration, reach_m)
+
+    def anew(self, explained: Explained, reach_m: float) -> tuple[ObservedSurface, FloatArray]:
+        """See `Matchable.anew`."""
+        found = explained.registration.moved_by(explained.registration_step)
+        observed = self.about(explained.mean, found, reach_m)
+        return observed, observed.residual(explained)
 
 
 class ObservedSurface:
@@ -88,10 +87,6 @@ class ObservedSurface:
     """
 
     components = 1
-    first_sigmas_m: tuple[float, ...] = SurfaceObservation.first_sigmas_m
-    turns = SurfaceObservation.turns
-    leading_loads = SurfaceObservation.leading_loads
-    least_sigma_m = SurfaceObservation.least_sigma_m
 
     def __init__(
         self, whole: SurfaceObservation, mean: Tensor, registration: RegistrationError, reach_m: float
@@ -125,56 +120,56 @@ class ObservedSurface:
         """See `Observed.displacement`."""
         return np.asarray((self._whole.seen.position - self._pairs.reference)[self._used.numpy()])
 
-    def about(self, mean: Tensor, registration: RegistrationError, reach_m: float) -> ObservedSurface:
-        """See `Matchable.about`."""
-        return ObservedSurface(self._whole, mean, registration, reach_m)
+    def residual(self, explained: Explained) -> FloatArray:
+        """Return what a posterior leaves of each patch, (c, 3) m."""
+        told, errors = self._told(explained.registration)
+        return self._left(told, errors, explained.mean, explained.amplitudes)
 
-    def _along(self, registration: RegistrationError) -> Tensor:
-        """N . (correction(y) - x), (c,) m."""
+    def _told(self, registration: RegistrationError) -> tuple[Tensor, Tensor]:
+        """Return n . (correction(y) - x), (c,) m, and n . J times the root of the registration's error, (c, 6)."""
         offset = registration.corrected(self._whole.seen.position) - self._pairs.reference
-        return torch.from_numpy(np.einsum("cd,cd->c", self._pairs.normal, offset))
+        columns = registration.columns(torch.from_numpy(self._pairs.position))
+        along = np.einsum("cd,cd->c", self._pairs.normal, offset)
+        return torch.from_numpy(along), torch.einsum("cd,cdk->ck", self._normal, columns)
 
     def _moved(self, nodal: Tensor) -> Tensor:
-        """N . u of the nearest points, (c,) m, for nodal displacement (n, 3) m."""
+        """Return n . u of the nearest points, (c,) m, for nodal displacement (n, 3) m."""
         return torch.einsum("ck,ckd,cd->c", self._weights, nodal.cpu()[self._nodes], self._normal)
 
-    def _columns(self, registration: RegistrationError) -> Tensor:
-        return torch.einsum(
-            "cd,cdk->ck", self._normal, registration.columns(torch.from_numpy(self._pairs.position))
-        )
+    def _left(self, told: Tensor, errors: Tensor, mean: Tensor, amplitudes: Amplitudes) -> FloatArray:
+        """Return what is left of `_told`, as vectors along the normals, (c, 3) m."""
+        shared = self._whole.field @ amplitudes.field.cpu() + errors @ amplitudes.nuisance.cpu()
+        left = (told - self._moved(mean) - shared).numpy() * self.counts
+        return np.asarray(left[:, None] * self._pairs.normal)
 
     def condition(
         self,
         tangent: Tangent,
         registration: RegistrationError,
         precision: FloatArray,
-        variances: Variances | None,
+        variances: Variances,
         updates: int,
         most_field_m: float,
     ) -> Conditioned:
         """See `Observed.condition`."""
-        used = self._used
-        response = self._response(tangent)
-        field = self._whole.field
-        matrix = torch.cat([field[used], response, self._columns(registration)[used]], dim=1)
-        most_field_m = min(most_field_m, self._whole.sensor_bias_m)
-        y = (self._along(registration) - self._moved(tangent.offset))[used]
+        used, field = self._used, self._whole.field
+        told, errors = self._told(registration)
+        matrix = torch.cat([field[used], self._response(tangent), errors[used]], dim=1)
+        y = (told - self._moved(tangent.offset))[used]
         w = torch.from_numpy(precision[used.numpy()])
         weighted = matrix * w[:, None]
         device = tangent.state.device
         gram, right = (matrix.T @ weighted).to(device), (weighted.T @ y).to(device)
-        if variances is None:
-            loads = equal_variances(tangent, self.nodes, self._whole.prior_sigma_m)
-            variances = Variances(loads, loads.new_tensor(FIRST_SIGMA_M**2))
+        most_field_m = min(most_field_m, self._whole.sensor_bias_m)
         amplitudes = determine_relevance(
             gram, right, variances, field.shape[1], updates, LEAST_FIELD_SIGMA_M**2, most_field_m**2
         )
         evidence = amplitudes.log_evidence(right, float(w @ y.square())) + 0.5 * float(w.log().sum())
         mean = mean_displacement(tangent, amplitudes)
-        return Conditioned(amplitudes, mean, self.residual(mean, registration, amplitudes), evidence)
+        return Conditioned(amplitudes, mean, self._left(told, errors, mean, amplitudes), evidence)
 
     def _response(self, tangent: Tangent) -> Tensor:
-        """N . C of the patches that count, (k, 3 p) float64."""
+        """Return n . C of the patches that count, (k, 3 p) float64."""
         # Each lies in one tetrahedron: a row has an entry for each component of four nodes.
         nodes, weights, normal = (part[self._used] for part in (self._nodes, self._weights, self._normal))
         entries = (weights[:, :, None] * normal[:, None, :]).reshape(-1).float()
@@ -184,13 +179,6 @@ class ObservedSurface:
             (entries.numpy(), columns.numpy(), begins), shape=(len(nodes), len(tangent.response))
         )
         return torch.from_numpy(rows @ tangent.response.cpu().numpy()).double()
-
-    def residual(self, mean: Tensor, registration: RegistrationError, amplitudes: Amplitudes) -> FloatArray:
-        """See `Observed.residual`."""
-        field, nuisance = amplitudes.field.cpu(), amplitudes.nuisance.cpu()
-        errors = self._whole.field @ field + self._columns(registration) @ nuisance
-        left = (self._along(registration) - self._moved(mean) - errors).numpy() * self.counts
-        return np.asarray(left[:, None] * self._pairs.normal)
 
 
 def _too_few(count: int, where: str) -> InvalidInputError:

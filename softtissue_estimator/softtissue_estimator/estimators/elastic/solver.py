@@ -21,6 +21,7 @@ from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmSta
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest, settled
 from softtissue_estimator.estimators.elastic.relevance import Variances
+from softtissue_estimator.estimators.elastic.smooth_error import FIRST_SIGMA_M
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import FloatArray
 
@@ -33,12 +34,8 @@ LEAST_START_SHARE = 1e-2
 rest leaves none, and without any nothing could move it again."""
 REACH_M = 0.006
 """A surface that was seen farther from the organ than this, where the organ has been found, is none of it."""
-_FIRST_REACH_DEVIATIONS = (
-    3.0  # of the first, coarse errors, that it may be from an organ that is yet to be found
-)
-_FILLED_SHARE = (
-    0.1  # of a load's variance before any observation, with which others complete the relevant ones
-)
+_FIRST_REACH_DEVIATIONS = 3.0  # of the first, coarse errors: so far it may be from an organ yet to be found
+_FILLED_SHARE = 0.1  # of a load's variance before any observation: the least with which others are chosen
 LOST_TRACK_MISFIT_M = 0.0015
 """Where more than this is left unexplained, the organ has moved too far to be followed."""
 _LARGER_MODEL_SIGMA_RATIO = 2.0  # from which on the fit is repeated with the error that its residual shows
@@ -69,7 +66,8 @@ class Solver:
         model_sigma_m: float,
     ) -> None:
         self._model, self._observation, self._registration = model, observation, registration
-        self._prior_sigma_m, self._misfit = prior_sigma_m, Misfit(model_sigma_m)
+        self._prior_sigma_m = prior_sigma_m
+        self._misfit = Misfit(max(model_sigma_m, observation.least_sigma_m))
         nodes = model.mesh.nodes
         self._moved = to_tensor(motion.apply(nodes) - nodes, model.device)
         self._rotation = to_tensor(motion.rotation, model.device)
@@ -127,7 +125,7 @@ class Solver:
         weight, sigma = np.ones(len(observed.precision)), start.model_sigma_m
         least = LEAST_START_SHARE * equal_variances(start.tangent, observed.nodes, self._prior_sigma_m)
         variances = start.variances.at_least_each(least)
-        for turn in range(observed.turns):
+        for turn in range(self._observation.turns):
             explain = partial(
                 self._explain,
                 observed,
@@ -142,13 +140,13 @@ class Solver:
             )
             posterior = self._plausible(explain, sigma, observed)
             residual = posterior.residual
-            if turn + 1 < observed.turns:
-                observed, residual = self._matched_anew(posterior)
+            if turn + 1 < self._observation.turns:
+                observed, residual = self._observation.anew(posterior, REACH_M)
             weight = self._misfit.weights(observed, residual, posterior.model_sigma_m)
             misfit = self._misfit.unexplained(observed, residual, weight)
             # Loads that explained the earlier observation closely explain this one at any price, however far they move
             # what is hidden.
-            sigma = max(sigma, self._misfit.model_sigma(observed, misfit))
+            sigma = max(sigma, self._misfit.model_sigma(misfit))
             settled = observed is posterior.observed and weight.min() == 1.0
             if settled and sigma <= _LARGER_MODEL_SIGMA_RATIO * posterior.model_sigma_m:
                 break
@@ -166,34 +164,27 @@ class Solver:
             Variance of the nodes by the loads that are left out, where an earlier one will do.
         """
         equal = equal_variances(posterior.tangent, posterior.observed.nodes, self._prior_sigma_m)
-        amplitudes, counts = posterior.amplitudes, posterior.observed.leading_loads
-        leading = leading_loads(amplitudes.variances, _FILLED_SHARE * equal, amplitudes.loads_gram, *counts)
+        amplitudes = posterior.amplitudes
+        leading = leading_loads(amplitudes.variances, _FILLED_SHARE * equal, amplitudes.loads_gram)
         start = warm_start(posterior, leading)
         if hidden is None:
             hidden = hidden_variance(posterior, start, self._prior_sigma_m)
         return replace(start, hidden_variance=hidden)
 
-    def _matched_anew(self, posterior: Posterior) -> tuple[Observed, FloatArray]:
-        """Match with the organ as a posterior has it; also what it leaves of the new matches."""
-        registration = posterior.registration.moved_by(posterior.registration_step)
-        observed = posterior.observed.about(posterior.mean, registration, REACH_M)
-        if observed is posterior.observed:
-            return observed, posterior.residual
-        return observed, observed.residual(posterior.mean, posterior.registration, posterior.amplitudes)
-
     def start(self, registration: RegistrationError, updates: int = VARIANCE_UPDATES) -> Posterior:
         """Explain the observation with the organ linear about its rigid motion: the first step of `solve`."""
         tangent = self._model.resting.linearise_moved(self._rotation, self._moved, self._rest)
         ratio = self._model.ratios.expected
-        variances: Variances | None = None
         sigmas = self._observation.first_sigmas_m
         first = _FIRST_REACH_DEVIATIONS * (sigmas[0] if sigmas else math.inf)
         observed = self._observation.about(self._moved, registration, first)
+        loads = equal_variances(tangent, observed.nodes, self._prior_sigma_m)
+        variances = Variances(loads, loads.new_tensor(FIRST_SIGMA_M**2))
         for sigma in sigmas:
             weight = np.ones(len(observed.precision))
             posterior = self._explain(observed, tangent, registration, variances, sigma, weight, 1, ratio)
             variances = posterior.amplitudes.prior
-            observed = observed.about(posterior.mean, registration, _FIRST_REACH_DEVIATIONS * sigma)
+            observed = self._observation.about(posterior.mean, registration, _FIRST_REACH_DEVIATIONS * sigma)
         weight = np.ones(len(observed.precision))
         return self._plausible(
             lambda sigma: self._explain(
@@ -244,7 +235,7 @@ class Solver:
         if registration is None:
             registration = posterior.registration.moved_by(posterior.registration_step)
         ratio = posterior.ratio if ratio is None else ratio
-        observed, residual = self._matched_anew(posterior)
+        observed, residual = self._observation.anew(posterior, REACH_M)
         weight = self._misfit.weights(observed, residual, posterior.model_sigma_m)
         body = self._model.body
         state = body.guarded(posterior.tangent.state, posterior.mean) if guarded else posterior.mean
@@ -258,7 +249,7 @@ class Solver:
             lambda sigma: self._explain(
                 observed, tangent, registration, begin, sigma, weight, VARIANCE_UPDATES, ratio
             ),
-            self._misfit.model_sigma(observed, self._misfit.unexplained(observed, residual, weight)),
+            self._misfit.model_sigma(self._misfit.unexplained(observed, residual, weight)),
             observed,
         )
 
@@ -277,7 +268,7 @@ class Solver:
         observed: Observed,
         tangent: Tangent,
         registration: RegistrationError,
-        variances: Variances | None,
+        variances: Variances,
         sigma: float,
         weight: FloatArray,
         updates: int,

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import logging
-import os
 import re
 import subprocess
-import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,7 @@ from numpy.typing import NDArray
 from softtissue_estimator.errors import MeshError
 from softtissue_estimator.organ.mesh_files.cells_worker import UNREADABLE
 from softtissue_estimator.organ.mesh_files.plain_text import decimal_comma_hint, without_mark
-from softtissue_estimator.support.leftovers import run_contained, temporary_folder
+from softtissue_estimator.support.leftovers import child_environment, run_contained, temporary_folder
 
 _TIMEOUT_S = 60.0
 _DECLARED_ENCODING = re.compile(rb"^(\s*<\?xml[^>]*encoding=[\"'])[^\"']*([\"'])")
@@ -48,12 +46,7 @@ def read_isolated(path: Path, expected: str) -> dict[str, NDArray[Any]]:
         target = folder / "cells.npz"
         program = [str(_WORKER), str(_plain(path, folder)), path.suffix.lower(), str(target)]
         # Every thread of a linear algebra library would take of the bounded memory.
-        environment = {
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
-            "OMP_NUM_THREADS": "1",
-            "OPENBLAS_NUM_THREADS": "1",
-        }
+        environment = child_environment(one_thread=True)
         try:
             done = run_contained(program, folder, environment, _TIMEOUT_S)
         except subprocess.TimeoutExpired as error:

@@ -33,7 +33,7 @@ def explained(model, drift):
     patches = average_patches(Observation(points, moved, np.full(len(points), 0.0005)), model.lookup)
     registration = told_error(ORGAN.centre, np.diag([0.0003**2] * 3 + [0.003**2] * 3))
     motion = fit_patches(patches, CONFIG.model_sigma_m)
-    pairs = ObservedPairs(patches, model, CONFIG.prior_sigma_m)
+    pairs = ObservedPairs(patches, model)
     solver = Solver(model, pairs, motion, registration, CONFIG.prior_sigma_m, CONFIG.model_sigma_m)
     return solver, solver.solve()
 

@@ -10,9 +10,11 @@ from estimator.shapes import ellipsoid, organ_of
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
-from softtissue_estimator.estimators.elastic.linear_gaussian import mean_displacement
+from softtissue_estimator.estimators.elastic.linear_gaussian import equal_variances, mean_displacement
 from softtissue_estimator.estimators.elastic.observed_surface import SurfaceObservation
+from softtissue_estimator.estimators.elastic.posterior import Posterior
 from softtissue_estimator.estimators.elastic.registration_error import told_error
+from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.observation.bare_cloud import BareCloud
 from softtissue_estimator.observation.seen_surface import seen_surface
 from softtissue_estimator.organ.mesh import sample_faces
@@ -45,9 +47,7 @@ def exact(model):
 
 
 def observation(model, cloud):
-    return SurfaceObservation(
-        seen_surface(cloud), model.moved_surface, CONFIG.prior_sigma_m, CONFIG.sensor_bias_m
-    )
+    return SurfaceObservation(seen_surface(cloud), model.moved_surface, CONFIG.sensor_bias_m)
 
 
 def test_nearest_points_of_a_moved_surface_are_those_of_its_triangles(model):
@@ -88,7 +88,9 @@ def test_posterior_is_that_of_a_dense_gaussian_process_along_the_normals(model):
         torch.eye(3, dtype=torch.float64), torch.zeros_like(model.nodes), torch.zeros_like(model.nodes)
     )
     precision = 1.0 / (1.0 / matched.precision + 0.001**2)
-    found = matched.condition(tangent, exact(model), precision, None, 0, 0.0005)
+    loads = equal_variances(tangent, matched.nodes, CONFIG.prior_sigma_m)
+    variances = Variances(loads, loads.new_tensor(0.0005**2))
+    found = matched.condition(tangent, exact(model), precision, variances, 0, 0.0005)
     used = matched.counts > 0.0
     pairs = matched._pairs
     rows = np.zeros((int(used.sum()), 3 * len(model.nodes)))
@@ -106,9 +108,10 @@ def test_posterior_is_that_of_a_dense_gaussian_process_along_the_normals(model):
     gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + noise)
     expected = (gain @ (told - rows @ tangent.offset.numpy().ravel())).reshape(-1, 3) + tangent.offset.numpy()
     np.testing.assert_allclose(found.mean.numpy(), expected, atol=2e-5)
-    np.testing.assert_allclose(
-        matched.residual(found.mean, exact(model), found.amplitudes), found.residual, atol=1e-12
+    posterior = Posterior(
+        tangent, found.amplitudes, found.mean, found.residual, 0.001, 0, 0.0, exact(model), matched
     )
+    np.testing.assert_allclose(matched.residual(posterior), found.residual, atol=1e-12)
     assert np.abs(mean_displacement(tangent, found.amplitudes).numpy()).max() > 0.001
 
 
