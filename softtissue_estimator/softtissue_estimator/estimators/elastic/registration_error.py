@@ -74,6 +74,11 @@ class RegistrationError:
         """Return the same distribution with standard deviations multiplied by a factor."""
         return replace(self, root=factor * self.root)
 
+    def widened(self, by: RegistrationError) -> RegistrationError:
+        """Return the distribution of the sum of this error and one more, whose covariance is that of `by`."""
+        root = np.linalg.cholesky(self.root @ self.root.T + by.root @ by.root.T)
+        return replace(self, root=np.asarray(root, dtype=np.float64))
+
     def conditioned(self, scaled: FloatArray, covariance: FloatArray) -> RegistrationError:
         """Return the distribution after an observation.
 

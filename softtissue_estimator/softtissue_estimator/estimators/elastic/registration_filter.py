@@ -29,11 +29,13 @@ class RegistrationFilter:
 
     Attributes
     ----------
+    expected : RegistrationError
     supposed : RegistrationError
         What is known before the next frame.
     """
 
     def __init__(self, expected: RegistrationError) -> None:
+        self.expected = expected
         # Most are exact; the first frame that is explained with all loads tells whether this one is.
         self.supposed = expected.scaled(expected.scales[0])
         self._observed = False

@@ -101,20 +101,27 @@ class Solver:
                 break
         return posterior
 
-    def again(
-        self, posterior: Posterior, registration: RegistrationError, sigma: float, updates: int
+    def again(self, posterior: Posterior, registration: RegistrationError, sigma: float) -> Posterior:
+        """Explain the observation again by the same loads, with another registration or error of the model, m."""
+        return self._about(posterior, registration, posterior.amplitudes.prior, sigma, 0)
+
+    def afresh(self, posterior: Posterior, registration: RegistrationError) -> Posterior:
+        """Explain the observation about the same state, as if nothing were known of the loads."""
+        loads = equal_variances(posterior.tangent, posterior.observed.nodes, self._prior_sigma_m)
+        variances = Variances(loads, loads.new_tensor(FIRST_SIGMA_M**2))
+        return self._about(posterior, registration, variances, posterior.model_sigma_m, VARIANCE_UPDATES)
+
+    def _about(
+        self,
+        posterior: Posterior,
+        registration: RegistrationError,
+        variances: Variances,
+        sigma: float,
+        updates: int,
     ) -> Posterior:
-        """Explain the observation again about the same state, with another registration or error of the model."""
-        return self._explain(
-            posterior.observed,
-            posterior.tangent,
-            registration,
-            posterior.amplitudes.prior,
-            sigma,
-            self._weights(posterior),
-            updates,
-            posterior.ratio,
-        )
+        observed, tangent, ratio = posterior.observed, posterior.tangent, posterior.ratio
+        weight = self._weights(posterior)
+        return self._explain(observed, tangent, registration, variances, sigma, weight, updates, ratio)
 
     def follow(self, start: WarmStart, predicted: Tensor) -> Posterior | None:
         """Explain the observation about the state of an earlier one, in a few milliseconds.

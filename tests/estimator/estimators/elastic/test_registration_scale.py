@@ -7,8 +7,8 @@ from estimator.shapes import ellipsoid, organ_of
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
 from softtissue_estimator.estimators.elastic.observed_pairs import ObservedPairs
-from softtissue_estimator.estimators.elastic.registration_error import told_error
-from softtissue_estimator.estimators.elastic.registration_scale import DOUBT_FACTOR, unfettered
+from softtissue_estimator.estimators.elastic.registration_error import expected_error, told_error
+from softtissue_estimator.estimators.elastic.registration_scale import DRIFT_SHARE, drifted
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.observation.patch_average import average_patches, fit_patches
@@ -18,6 +18,7 @@ SURFACE = ellipsoid((0.08, 0.05, 0.04), subdivisions=2)
 ORGAN = organ_of(SURFACE, SURFACE.vertices[:, 0] < -0.055)
 CONFIG = EstimatorConfig(poisson_ratio_sigma=0.0)
 DRIFT = np.array([0.006, -0.005, 0.004])
+EXPECTED = expected_error(ORGAN.centre, 0.01, 0.1)
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +41,11 @@ def explained(model, drift):
 
 def test_a_registration_that_drifted_is_doubted(model):
     solver, posterior = explained(model, DRIFT)
-    wider = unfettered(solver, posterior)
-    np.testing.assert_allclose(wider.registration.root, DOUBT_FACTOR * posterior.registration.root)
+    wider = drifted(solver, posterior, EXPECTED)
+    root = posterior.registration.root, DRIFT_SHARE * EXPECTED.root
+    np.testing.assert_allclose(
+        wider.registration.root @ wider.registration.root.T, root[0] @ root[0].T + root[1] @ root[1].T
+    )
     left = [
         np.linalg.norm(found.registration_after.correction.translation + DRIFT)
         for found in (posterior, wider)
@@ -52,4 +56,4 @@ def test_a_registration_that_drifted_is_doubted(model):
 @pytest.mark.parametrize("drift", [np.zeros(3), 0.03 * DRIFT], ids=["exact", "as exact as told"])
 def test_an_exact_registration_is_not_doubted(model, drift):
     solver, posterior = explained(model, drift)
-    assert unfettered(solver, posterior) is posterior
+    assert drifted(solver, posterior, EXPECTED) is posterior
