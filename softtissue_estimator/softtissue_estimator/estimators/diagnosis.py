@@ -67,8 +67,8 @@ class Diagnosis:
     outlier_share : float
         Of the points: left out because they cannot belong to the organ's surface, 0 to 1.
     innovation_rms : float
-        Root mean square of what the answers before did not predict, over its standard deviation: about 1 where all is
-        as supposed. NaN where nothing came before.
+        Root mean square of what the answers before did not predict, over its standard deviation: 1 or less where all
+        is as supposed. NaN where nothing came before.
     doubts : tuple of str
         Why the answer must not be relied on, a sentence each.
     """

@@ -25,6 +25,7 @@ def doubts(
     expected: RegistrationError,
     outlier_share: float,
     lost: bool,
+    surprised: bool,
 ) -> tuple[str, ...]:
     """Return why an answer must not be relied on, a sentence each.
 
@@ -42,6 +43,8 @@ def doubts(
         Of the points, 0 to 1.
     lost : bool
         Whether the organ could not be followed to where it is seen.
+    surprised : bool
+        Whether what is seen has not been as expected for some time.
     """
     found: list[str] = []
     if outlier_share > MOST_OUTLIERS:
@@ -50,6 +53,11 @@ def doubts(
         )
     if lost:
         found.append("observation: expected the organ near where it was, got one that was answered anew")
+    if surprised:
+        found.append(
+            "observation: expected about what the answers before let expect, got"
+            f" {posterior.innovation:.1f} times its standard deviation, and that for a second"
+        )
     if unexplained > LOST_TRACK_MISFIT_M:
         found.append(
             f"observation: expected an organ that bends, got {1e3 * unexplained:.1f} mm that no load explains"

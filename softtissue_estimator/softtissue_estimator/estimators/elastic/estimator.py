@@ -219,11 +219,20 @@ class ElasticEstimator(Estimator):
     ) -> Diagnosis:
         known = posterior.registration_after
         found = RegistrationEstimate(known.centre, known.correction, known.root @ known.root.T)
-        lost = self._tracker is not None and self._tracker.lost
+        tracker = self._tracker
+        lost, surprised = (False, False) if tracker is None else (tracker.lost, tracker.surprised)
         return Diagnosis(
             found,
             outliers,
+            posterior.innovation,
             doubts=doubts(
-                posterior, posterior.observed.displacement, unexplained, found, expected, outliers, lost
+                posterior,
+                posterior.observed.displacement,
+                unexplained,
+                found,
+                expected,
+                outliers,
+                lost,
+                surprised,
             ),
         )

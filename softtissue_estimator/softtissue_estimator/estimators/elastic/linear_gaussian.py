@@ -86,10 +86,9 @@ def condition(
     # In double precision from here on: G is as large as the square of the signal over the noise.
     response = _response(tangent, observed.nodes).double()
     gram, right = _normal_equations(response, errors, observed.normal, observed.right - shifted)
-    amplitudes = determine_relevance(
-        gram, right, variances, errors.field_values, updates, LEAST_FIELD_SIGMA_M**2, errors.most_sigma_m**2
-    )
     power = observed.power + float((offset * (shifted - 2.0 * observed.right)).sum())
+    limits = LEAST_FIELD_SIGMA_M**2, errors.most_sigma_m**2
+    amplitudes = determine_relevance(gram, right, variances, errors.field_values, updates, *limits, power)
     return amplitudes, amplitudes.log_evidence(right, power)
 
 

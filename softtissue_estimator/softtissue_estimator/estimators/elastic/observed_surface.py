@@ -161,10 +161,9 @@ class ObservedSurface:
         device = tangent.state.device
         gram, right = (matrix.T @ weighted).to(device), (weighted.T @ y).to(device)
         most_field_m = min(most_field_m, self._whole.sensor_bias_m)
-        amplitudes = determine_relevance(
-            gram, right, variances, field.shape[1], updates, LEAST_FIELD_SIGMA_M**2, most_field_m**2
-        )
-        evidence = amplitudes.log_evidence(right, float(w @ y.square())) + 0.5 * float(w.log().sum())
+        power, limits = float(w @ y.square()), (LEAST_FIELD_SIGMA_M**2, most_field_m**2)
+        amplitudes = determine_relevance(gram, right, variances, field.shape[1], updates, *limits, power)
+        evidence = amplitudes.log_evidence(right, power) + 0.5 * float(w.log().sum())
         mean = mean_displacement(tangent, amplitudes)
         return Conditioned(amplitudes, mean, self._left(told, errors, mean, amplitudes), evidence)
 

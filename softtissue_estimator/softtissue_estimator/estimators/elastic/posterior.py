@@ -1,5 +1,6 @@
 """What is known of an organ after an observation, and what of it helps with the next one."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,6 +42,8 @@ class Posterior:
         Of the nodes, by loads that this posterior leaves out; None where it has all loads.
     plausible : bool
         Whether it does to no element what no tissue endures.
+    innovation : float
+        `surprise`, where the variances are those of earlier observations; NaN where there were none.
     """
 
     tangent: Tangent
@@ -54,6 +57,7 @@ class Posterior:
     observed: Observed
     hidden_variance: Tensor | None = None
     plausible: bool = True
+    innovation: float = math.nan
 
     def with_loads(self, kept: Tensor) -> "Posterior":
         """Return the same with some of the loads alone, (l,) their numbers."""
@@ -61,6 +65,12 @@ class Posterior:
         whole = self.tangent
         tangent = Tangent(whole.state, whole.offset, whole.response[:, columns].contiguous())
         return replace(self, tangent=tangent, amplitudes=self.amplitudes.with_loads(kept))
+
+    @property
+    def surprise(self) -> float:
+        """Root mean square of what is observed over the standard deviation with the variances that it began with."""
+        count = self.observed.components * float(self.observed.counts.sum())
+        return math.sqrt(max(self.amplitudes.surprise, 0.0) / count)
 
     @property
     def registration_after(self) -> RegistrationError:

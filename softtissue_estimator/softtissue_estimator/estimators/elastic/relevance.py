@@ -71,6 +71,9 @@ class Amplitudes:
         Lower Cholesky factor L of I + D G D, D the prior's standard deviations: the covariance is D (L L^T)^-1 D.
     gram : (r, r) float64
         G.
+    surprise : float
+        y^T (S + J V J^T)^-1 y, V the variances before any was re-estimated: about as large as y is long where these
+        were right. NaN where nobody asked.
     """
 
     mean: Tensor
@@ -78,6 +81,7 @@ class Amplitudes:
     field_values: int
     factor: Tensor
     gram: Tensor
+    surprise: float = math.nan
 
     def with_least_variances(self, least: Tensor) -> "Amplitudes":
         """Return the same mean with the covariance that larger variances of the loads would leave.
@@ -159,6 +163,7 @@ def determine_relevance(
     updates: int,
     least_field: float,
     most_field: float = math.inf,
+    power: float = math.nan,
 ) -> Amplitudes:
     """Re-estimate the variances and return the amplitudes' posterior.
 
@@ -179,21 +184,25 @@ def determine_relevance(
         How often to re-estimate; 0 gives the posterior for the given variances.
     least_field, most_field : float
         m^2; between which the field's variance stays.
+    power : float
+        y^T S^-1 y, where the surprise is asked for.
     """
     kept = torch.arange(len(variances.loads), device=right.device)
-    for _ in range(updates):
-        variances = _reestimated(gram, right, variances, kept, field_values)
+    surprise = math.nan
+    for update in range(updates):
+        variances, explained = _reestimated(gram, right, variances, kept, field_values)
+        surprise = surprise if update else power - explained
         variances = replace(variances, field=variances.field.clamp(least_field, most_field))
         # An irrelevant load moves nothing, and takes as long as another one.
         kept = torch.nonzero(variances.loads >= PRUNED_SHARE * variances.loads.max())[:, 0]
     factor, mean = _posterior(gram, right, variances, field_values)
-    return Amplitudes(mean, variances, field_values, factor, gram)
+    return Amplitudes(mean, variances, field_values, factor, gram, surprise)
 
 
 def _reestimated(
     gram: Tensor, right: Tensor, variances: Variances, kept: Tensor, field_values: int
-) -> Variances:
-    """Re-estimate the variances of the loads that are kept and of the field."""
+) -> tuple[Variances, float]:
+    """Re-estimate the variances of the loads that are kept and of the field; also (J^T S^-1 y) . a as they were."""
     if len(kept) < len(variances.loads):
         used = _parameters(kept, field_values, len(variances.loads), len(right))
         gram, right = gram[used[:, None], used], right[used]
@@ -211,7 +220,7 @@ def _reestimated(
     if field_values:
         share = (1.0 - remaining[:field_values].mean()).clamp_min(_LEAST_DETERMINED_SHARE)
         field = (field * mean[:field_values].square().mean() / share).sqrt()
-    return Variances(loads, field)
+    return Variances(loads, field), float(right @ mean)
 
 
 def _parameters(kept: Tensor, field: int, loads: int, count: int) -> Tensor:

@@ -146,6 +146,8 @@ class Solver:
                 most_field_m=float(start.variances.field.sqrt()),
             )
             posterior = self._plausible(explain, sigma, observed)
+            if not turn:  # the error of the model is still that of before
+                innovation = posterior.surprise
             residual = posterior.residual
             if turn + 1 < self._observation.turns:
                 observed, residual = self._observation.anew(posterior, REACH_M)
@@ -159,7 +161,7 @@ class Solver:
                 break
         if misfit >= LOST_TRACK_MISFIT_M:
             return None
-        return replace(posterior, hidden_variance=start.hidden_variance)
+        return replace(posterior, hidden_variance=start.hidden_variance, innovation=innovation)
 
     def warm_start(self, posterior: Posterior, hidden: Tensor | None = None) -> WarmStart:
         """Return what the next observation takes of a posterior over all loads.

@@ -15,6 +15,7 @@ import torch
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.elastic.improvement import Task, improve
+from softtissue_estimator.estimators.elastic.innovations import Innovations
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
@@ -93,6 +94,7 @@ class ElasticTracker:
         self._lock = threading.Lock()
         self._memory = _Memory()
         self._registration: RegistrationFilter | None = None
+        self._innovations = Innovations()
         self._pending: tuple[Task, Future[tuple[Posterior, WarmStart]]] | None = None
         self._stamp_s, self._frames = (
             0.0,
@@ -114,6 +116,11 @@ class ElasticTracker:
         """Whether an organ that was known could not be followed, and no step has been made since."""
         with self._lock:
             return self._memory.rigid and self._memory.ratio is not None
+
+    @property
+    def surprised(self) -> bool:
+        """Whether what was observed has not been as expected for some time."""
+        return self._innovations.surprising
 
     def catch_up(self, stamp_s: float | None) -> None:
         """Take over what the thread has made, as of an observation that is to be answered next.
@@ -179,6 +186,7 @@ class ElasticTracker:
             # Loads that have become irrelevant get a little back, so that a new one can be found.
             variances = earlier.all_variances.at_least(_LEAST_VARIANCE_SHARE)
             still = not memory.rigid and _distance(posterior.mean, earlier.tangent.state) < _STILL_DISTANCE_M
+        self._innovations.observe(self._stamp_s, posterior.innovation)
         memory = replace(memory, mean=posterior.mean)
         if not still:
             memory = replace(memory, settled=0)
@@ -236,6 +244,7 @@ class ElasticTracker:
         """Forget all observations."""
         with self._lock:
             self._memory, self._registration = _Memory(), None
+            self._innovations = Innovations()
             self._give_up()
 
     def forget_registration(self) -> None:

@@ -23,6 +23,7 @@ WELL = {
     "off_rad": 0.08,
     "outliers": 0.2,
     "lost": False,
+    "surprised": False,
 }
 
 
@@ -32,7 +33,10 @@ def said(**wrong):
     mean[2, 1] = found["farthest_m"]
     prior = SimpleNamespace(field=torch.tensor(found["field_m"] ** 2))
     posterior = SimpleNamespace(
-        mean=mean, plausible=found["plausible"], amplitudes=SimpleNamespace(prior=prior)
+        mean=mean,
+        plausible=found["plausible"],
+        amplitudes=SimpleNamespace(prior=prior),
+        innovation=1.4,
     )
     turn = Rotation.from_rotvec([found["off_rad"], 0.0, 0.0]).as_matrix()
     motion = RigidMotion(turn, CENTRE - turn @ CENTRE + [0.0, found["off_m"], 0.0])
@@ -46,6 +50,7 @@ def said(**wrong):
         expected,
         found["outliers"],
         found["lost"],
+        found["surprised"],
     )
 
 
@@ -58,6 +63,7 @@ def test_nothing_is_said_where_all_is_well():
     [
         ({"outliers": 0.3}, "30 % of the points torn off"),
         ({"lost": True}, "answered anew"),
+        ({"surprised": True}, "1.4 times its standard deviation, and that for a second"),
         ({"unexplained_m": 0.0021}, "2.1 mm that no load explains"),
         ({"field_m": 0.0019}, "errors of 1.9 mm that they share"),
         ({"off_m": 0.022}, "off by 22 mm and 5 degrees"),

@@ -169,6 +169,14 @@ def test_threads_that_share_the_cores_do_not_ask_for_more(stream, monkeypatch):
     assert set(counts["follow"]) == set(counts["improve"]) == {1}
 
 
+def test_an_observation_says_how_well_it_was_foretold(stream):
+    assert np.isnan(stream.estimate(observed(3.0)).diagnosis.innovation_rms)
+    foretold = [stream.estimate(observed(3.0)).diagnosis.innovation_rms for _ in range(14)][-1]
+    dented = observed(3.0)
+    dented.displacement[:, 2] += 0.004 * np.sin(dented.reference[:, 0] / 0.008)
+    assert 0.0 < foretold < 1.0 < stream.estimate(dented).diagnosis.innovation_rms
+
+
 def test_a_jump_is_answered_about_the_rigid_motion(alone, stream):
     for _ in range(10):
         stream.estimate(observed(0.0))
