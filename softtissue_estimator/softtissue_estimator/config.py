@@ -193,6 +193,13 @@ class EstimatorConfig:
         unit="m",
         limits=(0.0001, 0.02),
     )
+    track_slide_m_s: float = _setting(
+        0.0005,
+        "How fast tracks (clouds with a field `id`) slide along the surface: growth of the standard deviation of each "
+        "component of a track's place on the organ, from when it is first seen. Used by 'elastic' with `tracking`.",
+        unit="m/s",
+        limits=(0.0, 0.1),
+    )
     attachment_length_m: float = _setting(
         0.002,
         "Attached surface is held as by tissue of this thickness; more where it is uncertain what is attached. Used by "

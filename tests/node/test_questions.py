@@ -187,11 +187,22 @@ def test_moving_camera_is_the_viewpoint_and_its_motion_is_no_other_registration(
     assert stream.estimator.forgotten == 1
 
 
-def test_tracks_are_matched_as_if_they_were_bare_for_now(stream, scene):
-    answer = stream.show(kind=Kind.TRACKS, id=np.arange(len(scene.points)))
-    assert answer.used == len(scene.points)
+def test_numbers_of_tracks_stay_with_their_points(stream, scene):
+    number = np.arange(len(scene.points)) + 7
+    of_organ = number % 3 == 0
+    stream.show(kind=Kind.TRACKS, id=number, organ_mask=of_organ)
+    np.testing.assert_array_equal(stream.asked.track, number[of_organ])
+    np.testing.assert_allclose(stream.asked.points, scene.points[of_organ], atol=1e-6)
+    stream.show(kind=Kind.BARE, id=number)
+    assert stream.asked.track is None
+
+
+def test_status_says_tracks_where_they_are_used():
     frame = Frame(None, None, 0.0, 0, Kind.TRACKS)
-    assert (matching_of(frame), matching_of(replace(frame, kind=Kind.PAIRS))) == ("bare", "pairs")
+    followed = replace(CONFIG, tracking=True)
+    assert matching_of(frame, followed) == "tracks"
+    assert matching_of(frame, CONFIG) == "bare"
+    assert matching_of(replace(frame, kind=Kind.PAIRS), CONFIG) == "pairs"
 
 
 def test_references_are_not_looked_at_in_a_bare_cloud(stream, scene):

@@ -7,7 +7,10 @@ import numpy as np
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.organ.mesh import FloatArray
+from softtissue_estimator.organ.mesh import FloatArray, IntArray
+
+NO_TRACK = -1
+"""Number of the track of a point that belongs to none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +28,8 @@ class BareCloud:
         When, s, by the clock of its stream; None where nobody says.
     registration_covariance : (6, 6) float64, optional
         As of `Observation`.
+    track : (n,) int64, optional
+        Number of the track of each point, the same from cloud to cloud while it is followed; `NO_TRACK` for none.
     """
 
     points: FloatArray
@@ -32,9 +37,12 @@ class BareCloud:
     viewpoint: FloatArray | None = None
     stamp_s: float | None = None
     registration_covariance: FloatArray | None = None
+    track: IntArray | None = None
 
 
-def make_bare_cloud(points: Any, sigma: Any, config: EstimatorConfig) -> tuple[BareCloud, int]:
+def make_bare_cloud(
+    points: Any, sigma: Any, config: EstimatorConfig, track: IntArray | None = None
+) -> tuple[BareCloud, int]:
     """Check a cloud and drop the points that are not finite, or whose sigma is not positive. Arguments are copied.
 
     Parameters
@@ -44,6 +52,8 @@ def make_bare_cloud(points: Any, sigma: Any, config: EstimatorConfig) -> tuple[B
     sigma : (n,) array, float or None
         Standard deviation of each component, m; None for `default_sigma_m`.
     config : EstimatorConfig
+    track : (n,) int64, optional
+        As of `BareCloud`.
 
     Returns
     -------
@@ -65,6 +75,10 @@ def make_bare_cloud(points: Any, sigma: Any, config: EstimatorConfig) -> tuple[B
             f"standard deviations: expected one for each of {len(array)} points, got shape {spread.shape}"
         )
     spread = np.broadcast_to(spread, (len(array),))
+    if track is not None and track.shape != (len(array),):
+        raise InvalidInputError(
+            f"tracks: expected one number for each of {len(array)} points, got shape {track.shape}"
+        )
     with np.errstate(invalid="ignore", over="ignore"):
         usable = np.isfinite(array @ np.ones(3)) & (spread > 0.0) & (spread < np.inf)
     count = int(usable.sum())
@@ -73,4 +87,5 @@ def make_bare_cloud(points: Any, sigma: Any, config: EstimatorConfig) -> tuple[B
             f"surface points: expected at least {config.minimum_points} usable ones, got {count} of {len(array)} "
             "(others are not finite or without a positive standard deviation)"
         )
-    return BareCloud(array[usable], spread[usable]), len(array) - count
+    kept = None if track is None else track[usable]
+    return BareCloud(array[usable], spread[usable], track=kept), len(array) - count

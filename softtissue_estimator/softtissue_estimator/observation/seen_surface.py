@@ -6,7 +6,7 @@ import numpy as np
 
 from softtissue_estimator.observation.bare_cloud import BareCloud
 from softtissue_estimator.observation.plane_normals import cells, plane_normals, towards
-from softtissue_estimator.organ.mesh import FloatArray, sum_by_index
+from softtissue_estimator.organ.mesh import FloatArray, IntArray, sum_by_index
 
 CELL_M = 0.005
 """Side of the cells in which points are averaged: as large as the patches of tracked points."""
@@ -30,12 +30,15 @@ class SeenSurface:
         Inverse variance of each component of the average.
     oriented : bool
         Whether the sign of the normals says something.
+    piece : (n,) int64
+        In which piece each point of the cloud is; -1 where it shows no surface.
     """
 
     position: FloatArray
     normal: FloatArray
     precision: FloatArray
     oriented: bool
+    piece: IntArray
 
 
 def seen_surface(cloud: BareCloud) -> SeenSurface:
@@ -49,4 +52,5 @@ def seen_surface(cloud: BareCloud) -> SeenSurface:
     if cloud.viewpoint is not None:
         normal = towards(normal, position, cloud.viewpoint)
     whole = neighbours >= _LEAST_NEIGHBOURS
-    return SeenSurface(position[whole], normal[whole], total[whole], cloud.viewpoint is not None)
+    piece = np.where(whole, np.cumsum(whole) - 1, -1)[member]
+    return SeenSurface(position[whole], normal[whole], total[whole], cloud.viewpoint is not None, piece)

@@ -117,7 +117,8 @@ class FrameAnswerer:
         if pairs:
             asked = ask_about_pairs(cloud, frame.correspondences, pose, organ, config, watch)
         else:
-            asked = ask_about_bare(cloud, frame.cloud, pose, organ, config, watch)
+            tracked = frame.kind is Kind.TRACKS
+            asked = ask_about_bare(cloud, frame.cloud, pose, organ, config, watch, tracked=tracked)
         self._notice(pose)
         estimate = asked.answered_by(self._estimator)
         watch.lap("estimate")
@@ -145,10 +146,11 @@ class FrameAnswerer:
             self._estimator.forget_registration()
 
 
-def matching_of(frame: Frame) -> str:
+def matching_of(frame: Frame, config: EstimatorConfig) -> str:
     """Say what the points of a frame are matched by, as `EstimatorStatus.matching` has it."""
-    # Tracks are not followed yet: each of their clouds is matched as if it were bare.
-    return str((Kind.BARE if frame.kind is Kind.TRACKS else frame.kind).value)
+    # Frames that are answered on their own know nothing of tracks.
+    bare = frame.kind is Kind.TRACKS and not config.tracking
+    return str((Kind.BARE if bare else frame.kind).value)
 
 
 def unmoved(organ: Organ, config: EstimatorConfig) -> Observation:

@@ -61,12 +61,9 @@ class Bare:
     Attributes
     ----------
     cloud : BareCloud
-    track : (n,) int64 or None
-        Number of the track of each of its points; -1 for none. Not used yet.
     """
 
     cloud: BareCloud
-    track: NDArray[np.int64] | None
     rejected_fraction: float = 0.0
 
     @property
@@ -116,8 +113,15 @@ def ask_about_bare(
     organ: Organ,
     config: EstimatorConfig,
     watch: Stopwatch,
+    *,
+    tracked: bool = False,
 ) -> Bare:
     """Make a question of a cloud without correspondences; what its fields say not to be of the organ is left out.
+
+    Parameters
+    ----------
+    tracked : bool
+        Whether the numbers of its tracks count.
 
     Raises
     ------
@@ -138,9 +142,9 @@ def ask_about_bare(
             f" ({int((~finite).sum())} not finite, {int(finite.sum()) - len(row)} not of the organ by the cloud's"
             f" fields, {len(row) - count} further than {1e3 * config.max_displacement_m:g} mm from where it was)"
         )
-    track = None if labels.track is None else labels.track[row[near]]
+    track = labels.track[row[near]] if tracked and labels.track is not None else None
     watch.lap("read")
-    bare, _ = make_bare_cloud(points.compress(near, axis=0), None, config)
+    bare, _ = make_bare_cloud(points.compress(near, axis=0), None, config, track)
     bare = replace(
         bare,
         viewpoint=_viewpoint(pose, config.viewpoint),
@@ -148,7 +152,7 @@ def ask_about_bare(
         registration_covariance=pose.covariance_at(organ.centre),
     )
     watch.lap("check")
-    return Bare(bare, track)
+    return Bare(bare)
 
 
 def _near(points: FloatArray, organ: Organ, within_m: float) -> NDArray[np.bool_]:

@@ -180,7 +180,7 @@ class Responder:
             if not self._wanted(outcome):
                 return
             if outcome.answer is None:
-                self.refuse(outcome.frame.cloud, outcome.refusal, matching_of(outcome.frame))
+                self.refuse(outcome.frame.cloud, outcome.refusal, matching_of(outcome.frame, outcome.config))
                 return
             try:
                 report = self._publish(outcome, outcome.answer)
@@ -232,7 +232,7 @@ class Responder:
             diagnosis=answer.estimate.diagnosis,
             structures=tuple(structure.name for structure in answer.organ.structures),
             structure_sigma=tuple(answer.structure_sigma.tolist()),
-            matching=matching_of(outcome.frame),
+            matching=matching_of(outcome.frame, outcome.config),
         )
 
     def refuse(self, cloud: PointCloud2, reason: str, matching: str = "") -> None:

@@ -19,6 +19,8 @@ from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
 LEAST_COSINE = 0.5
 """Of the angle between the normals of a place and of its nearest point, where both show the same surface."""
+_BESIDE_M = 0.003  # along the surface from the nearest sample: farther away is beyond its rim
+_LEAST_VOLUME_RATIO = 0.05  # of a tetrahedron over its volume at rest: with less, places in it mean nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +31,10 @@ class ClosestPoints:
     ----------
     reference : (c, 3) m
         Where it is on the preoperative surface.
+    tet : (c,) int64
+        Tetrahedron that it is in.
     nodes : (c, 4) int64
-        Of the tetrahedron that it is in.
+        Of this.
     weights : (c, 4)
         Barycentric, of these.
     position, normal : (c, 3)
@@ -40,11 +44,35 @@ class ClosestPoints:
     """
 
     reference: FloatArray
+    tet: IntArray
     nodes: IntArray
     weights: FloatArray
     position: FloatArray
     normal: FloatArray
     facing: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialPoints:
+    """Points of the organ that are followed.
+
+    Parameters
+    ----------
+    reference : (c, 3) m
+        On the preoperative surface.
+    tet : (c,) int64
+        Tetrahedron that each is in.
+    nodes, weights : (c, 4)
+        As of `ClosestPoints`.
+    rest_normal : (c, 3)
+        Of the surface there at rest.
+    """
+
+    reference: FloatArray
+    tet: IntArray
+    nodes: IntArray
+    weights: FloatArray
+    rest_normal: FloatArray
 
 
 class MovedSurface:
@@ -59,7 +87,8 @@ class MovedSurface:
     """
 
     def __init__(self, organ: Organ, mesh: VolumeMesh, sample_tet: IntArray) -> None:
-        self._samples = organ.surface_lookup.samples
+        self._lookup = organ.surface_lookup
+        self._samples = self._lookup.samples
         self._mesh, self._tet = mesh, sample_tet
         self._weights = mesh.weights(self._samples, sample_tet)
         self._interpolation = mesh.interpolation_in(self._samples, sample_tet)
@@ -88,16 +117,58 @@ class MovedSurface:
         agreement = np.einsum("cd,cd->c", normal, normals)
         facing = (agreement if oriented else np.abs(agreement)) >= LEAST_COSINE
         return ClosestPoints(
-            self._samples[sample], self._mesh.tets[tet], self._weights[sample], moved[sample], normal, facing
+            self._samples[sample],
+            tet,
+            self._mesh.tets[tet],
+            self._weights[sample],
+            moved[sample],
+            normal,
+            facing,
         )
 
-    def _turned(self, normal: FloatArray, tet: IntArray, displacement: FloatArray) -> FloatArray:
-        """Return normals (c, 3) of the surface as it has moved, from those at rest: cof(F) N, without its length."""
+    def followed(self, reference: FloatArray) -> MaterialPoints:
+        """Find where points (c, 3) m near the preoperative surface lie in the organ."""
+        sample = self._lookup.nearest_sample(reference)
+        tet = self._tet[sample]
+        weights = self._mesh.weights(reference, tet)
+        return MaterialPoints(reference, tet, self._mesh.tets[tet], weights, self._normal[sample])
+
+    def normals(self, points: MaterialPoints, displacement: FloatArray) -> FloatArray:
+        """Return the normals (c, 3) of the surface, as nodal displacements (n, 3) m move it, where points are."""
+        return self._turned(points.rest_normal, points.tet, displacement)
+
+    def material(self, found: ClosestPoints, displacement: FloatArray, positions: FloatArray) -> FloatArray:
+        """Say which points of the preoperative surface are at positions, (c, 3) m.
+
+        NaN for those beside it, or that face another way, or where the organ has collapsed.
+
+        Parameters
+        ----------
+        found : ClosestPoints
+            Of these, for the same displacement.
+        displacement : (n, 3) m
+            Of the nodes.
+        positions : (c, 3) m
+        """
+        offset = positions - found.position
+        offset -= np.einsum("cd,cd->c", offset, found.normal)[:, None] * found.normal
+        gradient = self._gradient(found.tet, displacement)
+        whole = np.linalg.det(gradient) > _LEAST_VOLUME_RATIO
+        gradient[~whole] = np.eye(3)
+        offset[~(whole & found.facing & (np.linalg.norm(offset, axis=1) < _BESIDE_M))] = np.nan
+        return found.reference + np.linalg.solve(gradient, offset[:, :, None])[:, :, 0]
+
+    def _gradient(self, tet: IntArray, displacement: FloatArray) -> FloatArray:
+        """Return the deformation gradient F of tetrahedra (c,), (c, 3, 3)."""
         mesh = self._mesh
         nodes = mesh.tets[tet]
         corners = mesh.nodes[nodes] + displacement[nodes]
         edges = (corners[:, :3] - corners[:, 3:]).transpose(0, 2, 1)
-        first, second, third = (edges @ mesh.inverse_edges[tet]).transpose(2, 0, 1)  # columns of F
+        return np.asarray(edges @ mesh.inverse_edges[tet])
+
+    def _turned(self, normal: FloatArray, tet: IntArray, displacement: FloatArray) -> FloatArray:
+        """Return normals (c, 3) of the surface as it has moved, from those at rest: cof(F) N, without its length."""
+        first, second, third = self._gradient(tet, displacement).transpose(2, 0, 1)  # columns of F
         turned = normal[:, :1] * np.cross(second, third)
         turned += normal[:, 1:2] * np.cross(third, first)
         turned += normal[:, 2:] * np.cross(first, second)

@@ -7,17 +7,18 @@ from scipy.sparse import csr_array
 from threadpoolctl import ThreadpoolController
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.errors import InvalidInputError, SoftTissueError
 from softtissue_estimator.estimators.diagnosis import Diagnosis, RegistrationEstimate
 from softtissue_estimator.estimators.elastic.doubts import doubts
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
 from softtissue_estimator.estimators.elastic.observed import Matchable, Observed
 from softtissue_estimator.estimators.elastic.observed_pairs import ObservedPairs
-from softtissue_estimator.estimators.elastic.observed_surface import SurfaceObservation
+from softtissue_estimator.estimators.elastic.observed_surface import ObservedSurface, SurfaceObservation
 from softtissue_estimator.estimators.elastic.posterior import Posterior
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError, told_error
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.estimators.elastic.tracking import ElasticTracker
+from softtissue_estimator.estimators.elastic.tracks import Tracks
 from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progress, silent
 from softtissue_estimator.inference.device import choose_device, device_stopwatch, one_thread
 from softtissue_estimator.inference.stopwatch import Stopwatch
@@ -107,6 +108,7 @@ class ElasticEstimator(Estimator):
         self.device = str(self._device)
         self._model: ElasticModel | None = None
         self._tracker = ElasticTracker(config.tracking_patience_s) if config.tracking else None
+        self._tracks = Tracks(config.track_slide_m_s)
         # On a busy machine threads that wait for each other turn milliseconds into hundreds.
         self._threads = ThreadpoolController()
 
@@ -126,6 +128,8 @@ class ElasticEstimator(Estimator):
 
     def forget(self) -> None:
         """See `Estimator.forget`."""
+        # Another one: what is in work may still learn something, which nobody wants any more.
+        self._tracks = Tracks(self._config.track_slide_m_s)
         if self._tracker is not None:
             self._tracker.forget()
 
@@ -161,7 +165,11 @@ class ElasticEstimator(Estimator):
         # Matrices of a few hundred rows gain little from a second core, where another program or the tracker's thread
         # is at work on it they wait for it ten times as long as they compute.
         with self._threads.limit(limits=1, user_api="blas"), one_thread():
-            return self._estimate(observation, model)
+            try:
+                return self._estimate(observation, model)
+            except SoftTissueError:
+                self._tracks = Tracks(self._config.track_slide_m_s)
+                raise
 
     def _loaded(self, before: str) -> ElasticModel:
         if self._model is None:
@@ -170,13 +178,15 @@ class ElasticEstimator(Estimator):
 
     def _estimate(self, observation: Observation | BareCloud, model: ElasticModel) -> ElasticEstimate:
         watch = device_stopwatch(self._device)
-        seen, motion, outliers = self._seen(observation, model, watch)
+        if self._tracker is not None:
+            self._tracker.catch_up(observation.stamp_s)
+        tracks = self._tracks
+        seen, motion, outliers = self._seen(observation, model, tracks, watch)
         expected = replace(model.registration, scales=seen.registration_scales)
         if observation.registration_covariance is not None:
             expected = told_error(model.organ.centre, observation.registration_covariance)
         registration = expected
         if self._tracker is not None:
-            self._tracker.catch_up(observation.stamp_s)
             registration = self._tracker.registration(registration)
         config = self._config
         solver = Solver(model, seen, motion, registration, config.prior_sigma_m, config.model_sigma_m)
@@ -191,17 +201,38 @@ class ElasticEstimator(Estimator):
             model, posterior.observed, posterior.residual, ratio, mean, sigma, diagnosis, watch.stages
         )
         watch.lap("warp")
+        if isinstance(observation, BareCloud) and observation.track is not None:
+            self._learn(tracks, observation, posterior, estimate)
+            watch.lap("tracks")
         return estimate
 
+    def _learn(
+        self, tracks: Tracks, cloud: BareCloud, posterior: Posterior, estimate: ElasticEstimate
+    ) -> None:
+        """Remember where the tracks of a cloud are, if its answer can be believed."""
+        tracker, observed = self._tracker, posterior.observed
+        if tracker is None or not isinstance(observed, ObservedSurface):
+            return
+        if tracker.lost:
+            self._tracks = Tracks(self._config.track_slide_m_s)
+        elif not estimate.diagnosis.doubts:
+            reference = observed.material(cloud.points, posterior)
+            there, sigma = np.isfinite(reference).all(axis=1), np.full(len(reference), np.nan)
+            interpolation = self._loaded("estimate").surface_interpolation(reference[there])
+            sigma[there] = estimate.interpolated(reference[there], interpolation)[1]
+            tracks.learn(cloud, tracker.now_s, reference, sigma)
+
     def _seen(
-        self, observation: Observation | BareCloud, model: ElasticModel, watch: Stopwatch
+        self, observation: Observation | BareCloud, model: ElasticModel, tracks: Tracks, watch: Stopwatch
     ) -> tuple[Matchable, RigidMotion, float]:
         """Return what is observed, the rigid motion about which the organ is linear at first, the share of outliers."""
         config = self._config
         if isinstance(observation, BareCloud):
             seen = seen_surface(observation)
+            now_s = 0.0 if self._tracker is None else self._tracker.now_s
+            known = tracks.observed(observation, now_s, model.lookup)
             watch.lap("match")
-            found = SurfaceObservation(seen, model.moved_surface, config.sensor_bias_m)
+            found = SurfaceObservation(seen, model.moved_surface, config.sensor_bias_m, known)
             return found, IDENTITY, 0.0
         kept = continuous(observation.reference, observation.displacement)
         patches = average_patches(observation if kept.all() else observation.part(kept), model.lookup)

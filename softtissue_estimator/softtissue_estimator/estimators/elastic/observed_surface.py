@@ -6,14 +6,14 @@ estimated organ, with the normal n there, makes one equation of it (Chen and Med
     n . (correction(y) - x) = n . u(x) + n . J d + b + e,
 
 b a smooth error of the sensor. Along the surface nothing was observed, so nothing is claimed: elasticity tells how far
-the organ slid.
+the organ slid. Where points are followed, and it is known where on the organ they are, two equations more say it
+(`surface_rows`).
 """
 
 from __future__ import annotations
 
 import numpy as np
 import torch
-from scipy.sparse import csr_array
 from torch import Tensor
 
 from softtissue_estimator.errors import InvalidInputError
@@ -24,6 +24,8 @@ from softtissue_estimator.estimators.elastic.observed import Conditioned, Explai
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.relevance import Amplitudes, Variances, determine_relevance
 from softtissue_estimator.estimators.elastic.smooth_error import field_columns
+from softtissue_estimator.estimators.elastic.surface_rows import normal_rows, tangent_rows
+from softtissue_estimator.observation.patch_average import ObservedPatches
 from softtissue_estimator.observation.seen_surface import SeenSurface
 from softtissue_estimator.organ.mesh import FloatArray
 
@@ -34,7 +36,6 @@ FIRST_SIGMAS_M = 0.02, 0.012, 0.007, 0.004, 0.002
 LEAST_SIGMA_M = 0.001
 """Error of the model that a patch has at least: neighbours share that of their matches, and are several hundred."""
 LEAST_PATCHES = 10  # that must be near the organ
-NOISE_DEVIATIONS = 3.0  # beyond the reach, that a patch may be from the organ
 
 
 class SurfaceObservation:
@@ -47,11 +48,16 @@ class SurfaceObservation:
         Of the organ.
     sensor_bias_m : float
         As in `EstimatorConfig`.
+    tracks : ObservedPatches or None
+        Points whose place on the organ is known along its surface.
 
     Attributes
     ----------
     field : (c, m) float64
-        What each independent part of the sensor's smooth error does to each patch.
+        What each independent part of the sensor's smooth error does to each row of `SurfaceRows`: nothing along the
+        surface.
+    places : MaterialPoints or None
+        Where the tracks are in the organ.
     """
 
     first_sigmas_m: tuple[float, ...] = FIRST_SIGMAS_M
@@ -59,11 +65,20 @@ class SurfaceObservation:
     least_sigma_m = LEAST_SIGMA_M
     registration_scales: tuple[float, ...] = SURFACE_SCALES
 
-    def __init__(self, seen: SeenSurface, surface: MovedSurface, sensor_bias_m: float) -> None:
-        self.seen, self.surface, self.sensor_bias_m = seen, surface, sensor_bias_m
+    def __init__(
+        self,
+        seen: SeenSurface,
+        surface: MovedSurface,
+        sensor_bias_m: float,
+        tracks: ObservedPatches | None = None,
+    ) -> None:
+        self.seen, self.surface, self.sensor_bias_m, self.tracks = seen, surface, sensor_bias_m, tracks
+        self.places = None if tracks is None else surface.followed(tracks.reference)
         if len(seen.position) < LEAST_PATCHES:
             raise _too_few(len(seen.position), "that show a surface")
-        self.field = field_columns(torch.from_numpy(seen.position), seen.position)
+        field = field_columns(torch.from_numpy(seen.position), seen.position)
+        followed = 0 if tracks is None else 2 * len(tracks.reference)
+        self.field = torch.cat([field, field.new_zeros(followed, field.shape[1])])
 
     def about(self, mean: Tensor, registration: RegistrationError, reach_m: float) -> ObservedSurface:
         """See `Matchable.about`."""
@@ -84,6 +99,11 @@ class ObservedSurface:
     whole : SurfaceObservation
     mean, registration, reach_m
         As of `Matchable.about`.
+
+    Attributes
+    ----------
+    rows : SurfaceRows
+        Along the normals, a row for each of the pieces seen; then along the surface, for what is followed.
     """
 
     components = 1
@@ -92,55 +112,66 @@ class ObservedSurface:
         self, whole: SurfaceObservation, mean: Tensor, registration: RegistrationError, reach_m: float
     ) -> None:
         self._whole = whole
-        seen = whole.seen
-        self.precision = seen.precision
+        seen, surface, moved = whole.seen, whole.surface, mean.cpu().numpy()
         corrected = registration.corrected(seen.position)
-        self._pairs = pairs = whole.surface.closest(
-            mean.cpu().numpy(), corrected, registration.correction.turn(seen.normal), oriented=seen.oriented
-        )
-        distance = np.einsum("cd,cd->c", pairs.normal, corrected - pairs.position)
-        near = np.abs(distance) <= reach_m + NOISE_DEVIATIONS / np.sqrt(seen.precision)
-        counted = pairs.facing & near
-        if int(counted.sum()) < LEAST_PATCHES:
-            raise _too_few(int(counted.sum()), f"within {1e3 * reach_m:.0f} mm of the organ")
-        self.counts = counted.astype(np.float64)
-        self._used = torch.from_numpy(np.flatnonzero(counted))
-        self._weights = torch.from_numpy(pairs.weights)
-        self._nodes = torch.from_numpy(pairs.nodes)
-        self._normal = torch.from_numpy(pairs.normal)
-        self.nodes = torch.unique(self._nodes[self._used]).to(mean.device)
+        turned = registration.correction.turn(seen.normal)
+        pairs = surface.closest(moved, corrected, turned, oriented=seen.oriented)
+        rows = normal_rows(seen, pairs, registration, reach_m)
+        if int(rows.counted.sum()) < LEAST_PATCHES:
+            raise _too_few(int(rows.counted.sum()), f"within {1e3 * reach_m:.0f} mm of the organ")
+        self.counts = rows.counted.astype(np.float64)
+        self._pieces = np.flatnonzero(rows.counted)
+        if whole.tracks is not None and whole.places is not None:
+            normal = surface.normals(whole.places, moved)
+            along = tangent_rows(whole.tracks, whole.places, normal, moved, registration, reach_m)
+            rows = rows.and_(along)
+            # What is followed tells nothing of the error of the model: its own is too large.
+            self.counts = np.concatenate([self.counts, np.zeros(len(along.counted))])
+        self.rows, self.precision = rows, rows.precision
+        self._used = np.flatnonzero(rows.counted)
+        self.nodes = torch.from_numpy(np.unique(rows.nodes[self._used])).to(mean.device)
 
     @property
     def reference(self) -> FloatArray:
         """See `Observed.reference`."""
-        return np.asarray(self._pairs.reference[self._used.numpy()])
+        return np.asarray(self.rows.reference[self._pieces])
 
     @property
     def displacement(self) -> FloatArray:
         """See `Observed.displacement`."""
-        return np.asarray((self._whole.seen.position - self._pairs.reference)[self._used.numpy()])
+        return np.asarray((self.rows.seen - self.rows.reference)[self._pieces])
 
     def residual(self, explained: Explained) -> FloatArray:
         """Return what a posterior leaves of each patch, (c, 3) m."""
-        told, errors = self._told(explained.registration)
-        return self._left(told, errors, explained.mean, explained.amplitudes)
+        return self._left(explained.registration, explained.mean, explained.amplitudes)
 
-    def _told(self, registration: RegistrationError) -> tuple[Tensor, Tensor]:
-        """Return n . (correction(y) - x), (c,) m, and n . J times the root of the registration's error, (c, 6)."""
-        offset = registration.corrected(self._whole.seen.position) - self._pairs.reference
-        columns = registration.columns(torch.from_numpy(self._pairs.position))
-        along = np.einsum("cd,cd->c", self._pairs.normal, offset)
-        return torch.from_numpy(along), torch.einsum("cd,cdk->ck", self._normal, columns)
+    def material(self, points: FloatArray, explained: Explained) -> FloatArray:
+        """Say which points of the preoperative surface those of the cloud are, (n, 3) m, as a posterior has it.
 
-    def _moved(self, nodal: Tensor) -> Tensor:
-        """Return n . u of the nearest points, (c,) m, for nodal displacement (n, 3) m."""
-        return torch.einsum("ck,ckd,cd->c", self._weights, nodal.cpu()[self._nodes], self._normal)
+        NaN for those in pieces that do not count, beside the organ or where it has collapsed.
 
-    def _left(self, told: Tensor, errors: Tensor, mean: Tensor, amplitudes: Amplitudes) -> FloatArray:
-        """Return what is left of `_told`, as vectors along the normals, (c, 3) m."""
-        shared = self._whole.field @ amplitudes.field.cpu() + errors @ amplitudes.nuisance.cpu()
-        left = (told - self._moved(mean) - shared).numpy() * self.counts
-        return np.asarray(left[:, None] * self._pairs.normal)
+        Parameters
+        ----------
+        points : (n, 3) m
+            As the registration has them.
+        """
+        seen, surface, mean = self._whole.seen, self._whole.surface, explained.mean.cpu().numpy()
+        found = explained.registration.moved_by(explained.registration_step)
+        corrected, normals = found.corrected(points), found.correction.turn(seen.normal)
+        counted = self.rows.counted[: len(normals)]
+        shown = (seen.piece >= 0) & counted[seen.piece]
+        pairs = surface.closest(mean, corrected[shown], normals[seen.piece[shown]], oriented=seen.oriented)
+        places = np.full(points.shape, np.nan)
+        places[shown] = surface.material(pairs, mean, corrected[shown])
+        return places
+
+    def _left(self, registration: RegistrationError, mean: Tensor, amplitudes: Amplitudes) -> FloatArray:
+        """Return what is left of each row, as vectors along their directions, (c, 3) m."""
+        rows = self.rows
+        shared = self._whole.field @ amplitudes.field.cpu()
+        shared = shared + rows.errors(registration) @ amplitudes.nuisance.cpu()
+        left = (rows.told(registration) - rows.moved(mean) - shared.numpy()) * rows.counted
+        return np.asarray(left[:, None] * rows.direction)
 
     def condition(
         self,
@@ -152,11 +183,11 @@ class ObservedSurface:
         most_field_m: float,
     ) -> Conditioned:
         """See `Observed.condition`."""
-        used, field = self._used, self._whole.field
-        told, errors = self._told(registration)
-        matrix = torch.cat([field[used], self._response(tangent), errors[used]], dim=1)
-        y = (told - self._moved(tangent.offset))[used]
-        w = torch.from_numpy(precision[used.numpy()])
+        used, rows, field = self._used, self.rows, self._whole.field
+        parts = [field[used], rows.response(tangent, used), rows.errors(registration)[used]]
+        matrix = torch.cat(parts, dim=1)
+        y = torch.from_numpy((rows.told(registration) - rows.moved(tangent.offset))[used])
+        w = torch.from_numpy(precision[used])
         weighted = matrix * w[:, None]
         device = tangent.state.device
         gram, right = (matrix.T @ weighted).to(device), (weighted.T @ y).to(device)
@@ -165,19 +196,7 @@ class ObservedSurface:
         amplitudes = determine_relevance(gram, right, variances, field.shape[1], updates, *limits, power)
         evidence = amplitudes.log_evidence(right, power) + 0.5 * float(w.log().sum())
         mean = mean_displacement(tangent, amplitudes)
-        return Conditioned(amplitudes, mean, self._left(told, errors, mean, amplitudes), evidence)
-
-    def _response(self, tangent: Tangent) -> Tensor:
-        """Return n . C of the patches that count, (k, 3 p) float64."""
-        # Each lies in one tetrahedron: a row has an entry for each component of four nodes.
-        nodes, weights, normal = (part[self._used] for part in (self._nodes, self._weights, self._normal))
-        entries = (weights[:, :, None] * normal[:, None, :]).reshape(-1).float()
-        columns = (3 * nodes[:, :, None] + torch.arange(3)).reshape(-1)
-        begins = np.arange(0, 12 * len(nodes) + 1, 12)
-        rows = csr_array(
-            (entries.numpy(), columns.numpy(), begins), shape=(len(nodes), len(tangent.response))
-        )
-        return torch.from_numpy(rows @ tangent.response.cpu().numpy()).double()
+        return Conditioned(amplitudes, mean, self._left(registration, mean, amplitudes), evidence)
 
 
 def _too_few(count: int, where: str) -> InvalidInputError:

@@ -104,6 +104,12 @@ class ElasticTracker:
         # Threads of an executor are waited for when the interpreter ends: torch aborts where one is cut off.
         self._executor = ThreadPoolExecutor(1, "tracker", _step_back)
 
+    @property
+    def now_s(self) -> float:
+        """When the newest observation was made, as `catch_up` was told."""
+        with self._lock:
+            return self._stamp_s
+
     def registration(self, expected: RegistrationError) -> RegistrationError:
         """Return what is known of the registration before the next frame."""
         with self._lock:

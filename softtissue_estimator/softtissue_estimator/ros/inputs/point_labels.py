@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.observation.bare_cloud import NO_TRACK
 from softtissue_estimator.ros.inputs.cloud_layout import NUMBERS, field_names, records
 
 TRACK, LABEL, MASK = "id", "label", "organ_mask"
 NO_LABEL = -1
 """Value of the parameter `organ_label` with which labels say nothing."""
-_NO_TRACK = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,4 +73,4 @@ def _tracks(numbers: NDArray[Any]) -> NDArray[np.int64]:
     if numbers.dtype.kind != "f":
         return numbers.astype(np.int64)
     known = np.abs(numbers) < 2.0**62  # false for NaN
-    return np.where(known, numbers, _NO_TRACK).astype(np.int64)
+    return np.where(known, numbers, NO_TRACK).astype(np.int64)

@@ -28,9 +28,10 @@ from softtissue_estimator.support.resources import (
 # Preparing an organ for the first time takes up to minutes on a busy machine; afterwards it is cached.
 START_TIMEOUT_S = 300
 SCORE_TIMEOUT_S = 60.0
-# Kinds of clouds that the bundled scene shows, and under which names its topics are heard: the organ's true pose in the
-# room is the registration.
-SCENE = {"bare": ("/organ_pose_truth:=/registration",)}
+# Kinds of clouds that the bundled scene shows, by the topics that hold them; the organ's true pose in the room is the
+# registration.
+SCENE = {"tracks": "tracked_points", "bare": "surface_points"}
+SCENE_REMAP = ("/organ_pose_truth:=/registration",)
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,8 @@ class Run:
     bag : Path
     remap : tuple of str
         Names of topics, as ROS takes them.
+    clouds : str
+        Topic of the bag that is played as `surface_points`.
     snapshot_ns : int or None
         Stamp of the frame that is kept for the picture.
     """
@@ -66,12 +69,20 @@ class Run:
     estimator: str
     bag: Path
     remap: tuple[str, ...] = ()
+    clouds: str = "surface_points"
     snapshot_ns: int | None = None
 
     @property
     def folder(self) -> str:
         """Name of the folder of its results."""
         return self.estimator if self.input == "pairs" else f"{self.input}-{self.estimator}"
+
+    @property
+    def played_as(self) -> tuple[str, ...]:
+        """Names of topics for the replay."""
+        if self.clouds == "surface_points":
+            return self.remap
+        return (*self.remap, "/surface_points:=/other_points", f"/{self.clouds}:=/surface_points")
 
     @property
     def title(self) -> str:
@@ -140,7 +151,7 @@ def play(run: Run, options: Options) -> dict[str, Any]:
     folder = options.out / run.folder
     folder.mkdir(parents=True)
     report = folder / "report.json"
-    remap = [part for rule in run.remap for part in ("-r", rule)]
+    remap, played_as = ([p for rule in rules for p in ("-r", rule)] for rules in (run.remap, run.played_as))
     node = [
         str(executable("node")),
         "--ros-args",
@@ -158,10 +169,11 @@ def play(run: Run, options: Options) -> dict[str, Any]:
         score += ["--snapshot-stamp", str(run.snapshot_ns)]
     replay = [str(executable("replay")), str(run.bag), "--rate", str(options.rate), "--subscribers", "2"]
     replay += ["--timeout", str(START_TIMEOUT_S), "--report", str(folder / "replay.json")]
+    replay += ["--wait-for", run.clouds, "--ros-args", *played_as]
     with (
         process(node, stderr=subprocess.PIPE) as node_process,
         process([*score, "--ros-args", *remap], stdout=subprocess.DEVNULL) as score_process,
-        process([*replay, "--ros-args", *remap]) as replay_process,
+        process(replay) as replay_process,
     ):
         threading.Thread(
             target=relay, args=(node_process.stderr, folder / "node.log"), name="relay", daemon=True
@@ -212,8 +224,11 @@ def run(options: Options) -> int:
     default, recording, runs = options.estimators[0], None, []
     if "pairs" in options.inputs:
         recording = read_recording(options.bag, read_organ_file(options.organ).frame)
-        runs += [Run("pairs", name, options.bag, (), recording.peak_ns) for name in options.estimators]
-    runs += [Run(name, default, bundled_scene(), SCENE[name]) for name in options.inputs if name in SCENE]
+        runs += [
+            Run("pairs", name, options.bag, snapshot_ns=recording.peak_ns) for name in options.estimators
+        ]
+    scenes = [name for name in options.inputs if name in SCENE]
+    runs += [Run(name, default, bundled_scene(), SCENE_REMAP, SCENE[name]) for name in scenes]
     played = []
     for each in runs:
         print(f"==> {each.title}: starting node, replay and score", flush=True)

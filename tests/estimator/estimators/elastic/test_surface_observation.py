@@ -92,10 +92,10 @@ def test_posterior_is_that_of_a_dense_gaussian_process_along_the_normals(model):
     variances = Variances(loads, loads.new_tensor(0.0005**2))
     found = matched.condition(tangent, exact(model), precision, variances, 0, 0.0005)
     used = matched.counts > 0.0
-    pairs = matched._pairs
+    pairs = matched.rows
     rows = np.zeros((int(used.sum()), 3 * len(model.nodes)))
     for row, (nodes, weights, normal) in enumerate(
-        zip(pairs.nodes[used], pairs.weights[used], pairs.normal[used], strict=True)
+        zip(pairs.nodes[used], pairs.weights[used], pairs.direction[used], strict=True)
     ):
         for node, weight in zip(nodes, weights, strict=True):
             rows[row, 3 * node : 3 * node + 3] += weight * normal
@@ -104,7 +104,7 @@ def test_posterior_is_that_of_a_dense_gaussian_process_along_the_normals(model):
     prior = (response * root) @ (response * root).T
     field = matched._whole.field.numpy()[used]
     noise = 0.0005**2 * field @ field.T + np.diag(1.0 / precision[used])
-    told = np.einsum("cd,cd->c", pairs.normal, matched._whole.seen.position - pairs.reference)[used]
+    told = np.einsum("cd,cd->c", pairs.direction, matched._whole.seen.position - pairs.reference)[used]
     gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + noise)
     expected = (gain @ (told - rows @ tangent.offset.numpy().ravel())).reshape(-1, 3) + tangent.offset.numpy()
     np.testing.assert_allclose(found.mean.numpy(), expected, atol=2e-5)
