@@ -15,7 +15,9 @@ def test_every_field_is_documented(field):
         assert field.metadata["range"] is not None
     if field.name.endswith("_m"):
         assert field.metadata["unit"] == "m"
-    if field.name.endswith("_s"):
+    if field.name.endswith("_m_s"):
+        assert field.metadata["unit"] == "m/s"
+    elif field.name.endswith("_s"):
         assert field.metadata["unit"] == "s"
 
 

@@ -89,9 +89,10 @@ class Tracks:
             Of the organ.
         """
         row, place = self._found(cloud)
+        recent = np.abs(now_s - self._known.seen_s[place]) <= MEMORY_S
+        row, known = row[recent], self._known.part(place[recent])
         if not len(row):
             return None
-        known = self._known.part(place)
         displacement = cloud.points[row] - known.reference
         kept = continuous(known.reference, displacement)
         known, row, displacement = known.part(kept), row[kept], displacement[kept]

@@ -94,11 +94,11 @@ def test_new_points_numbers_given_twice_and_no_numbers_are_bare():
 def test_a_track_that_comes_back_keeps_its_place_for_a_while(gone_s, kept):
     tracks = learnt()
     back = 10.0 + gone_s
-    others = np.full(len(FEW), 0.001)
-    tracks.learn(cloud(FEW, NUMBERS + 1000), back - 0.1, FEW, others)
-    tracks.learn(cloud(FEW, NUMBERS + 1000), back, FEW, others)
-    reference, _ = places(tracks, back, FEW[:5] + 0.0001, NUMBERS[:5])
-    assert len(reference) == (5 if kept else 0)
+    for known in (5 if kept else 0,) * 2:
+        reference, _ = places(tracks, back, FEW[:5] + 0.0001, NUMBERS[:5])
+        assert len(reference) == known
+        tracks.learn(cloud(FEW, NUMBERS + 1000), back, FEW, np.full(len(FEW), 0.001))
+    assert len(tracks._known.track) == len(FEW) * (2 if kept else 1)
 
 
 def test_a_track_that_jumps_is_learnt_anew_and_one_that_slid_is_not():
@@ -197,7 +197,7 @@ def estimator(model):
     estimator.close()
 
 
-SIZES = (0.0, 0.0, 0.2, 0.5, 0.8, 1.0)
+SIZES = (0.0, 0.0, 0.16, 0.33, 0.5, 0.67, 0.84, 1.0)
 
 
 def stream(estimator, track, wrong=None, sizes=SIZES):
@@ -216,11 +216,11 @@ def test_tracks_show_what_slides_along_the_surface_and_wrong_numbers_do_little_h
     numbers = np.arange(len(SPARSE))
     bare = stream(estimator, None)
     followed = stream(estimator, numbers)
-    assert followed < 0.5 * bare
+    assert followed < 0.6 * bare
     assert stream(estimator, numbers) == followed
     mixed = numbers.copy()
     mixed[::5] = np.roll(numbers[::5], 7)
-    assert stream(estimator, numbers, mixed) < 0.6 * bare
+    assert stream(estimator, numbers, mixed) < 0.7 * bare
 
 
 def test_a_cloud_that_is_refused_and_a_reset_end_what_is_known_of_tracks(estimator):
