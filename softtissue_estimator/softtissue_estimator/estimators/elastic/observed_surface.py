@@ -113,17 +113,18 @@ class ObservedSurface:
     ) -> None:
         self._whole = whole
         seen, surface, moved = whole.seen, whole.surface, mean.cpu().numpy()
-        corrected = registration.corrected(seen.position)
-        turned = registration.correction.turn(seen.normal)
-        pairs = surface.closest(moved, corrected, turned, oriented=seen.oriented)
-        rows = normal_rows(seen, pairs, registration, reach_m)
+        # Where the points are estimated to be, not where they were expected before they were seen.
+        correction = registration.correction
+        corrected = correction.apply(seen.position)
+        pairs = surface.closest(moved, corrected, correction.turn(seen.normal), oriented=seen.oriented)
+        rows = normal_rows(seen, pairs, corrected, reach_m)
         if int(rows.counted.sum()) < LEAST_PATCHES:
             raise _too_few(int(rows.counted.sum()), f"within {1e3 * reach_m:.0f} mm of the organ")
         self.counts = rows.counted.astype(np.float64)
         self._pieces = np.flatnonzero(rows.counted)
         if whole.tracks is not None and whole.places is not None:
             normal = surface.normals(whole.places, moved)
-            along = tangent_rows(whole.tracks, whole.places, normal, moved, registration, reach_m)
+            along = tangent_rows(whole.tracks, whole.places, normal, moved, correction, reach_m)
             rows = rows.and_(along)
             # What is followed tells nothing of the error of the model: its own is too large.
             self.counts = np.concatenate([self.counts, np.zeros(len(along.counted))])
@@ -157,7 +158,7 @@ class ObservedSurface:
         """
         seen, surface, mean = self._whole.seen, self._whole.surface, explained.mean.cpu().numpy()
         found = explained.registration.moved_by(explained.registration_step)
-        corrected, normals = found.corrected(points), found.correction.turn(seen.normal)
+        corrected, normals = found.correction.apply(points), found.correction.turn(seen.normal)
         counted = self.rows.counted[: len(normals)]
         shown = (seen.piece >= 0) & counted[seen.piece]
         pairs = surface.closest(mean, corrected[shown], normals[seen.piece[shown]], oriented=seen.oriented)

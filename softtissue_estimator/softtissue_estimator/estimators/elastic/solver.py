@@ -193,6 +193,7 @@ class Solver:
             weight = np.ones(len(observed.precision))
             posterior = self._explain(observed, tangent, registration, variances, sigma, weight, 1, ratio)
             variances = posterior.amplitudes.prior
+            registration = registration.moved_by(posterior.registration_step)
             observed = self._observation.about(posterior.mean, registration, _FIRST_REACH_DEVIATIONS * sigma)
         weight = np.ones(len(observed.precision))
         return self._plausible(

@@ -19,6 +19,7 @@ from softtissue_estimator.estimators.elastic.closest_points import ClosestPoints
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.observation.patch_average import ObservedPatches
+from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.observation.seen_surface import SeenSurface
 from softtissue_estimator.organ.mesh import BoolArray, FloatArray, IntArray, unit_rows
 
@@ -90,13 +91,14 @@ class SurfaceRows:
 
 
 def normal_rows(
-    seen: SeenSurface, pairs: ClosestPoints, registration: RegistrationError, reach_m: float
+    seen: SeenSurface, pairs: ClosestPoints, corrected: FloatArray, reach_m: float
 ) -> SurfaceRows:
     """Make an equation along the organ's normal of each piece of surface that was seen, (c,).
 
-    Those count that show the same side of a surface within a distance of the organ.
+    Those count that show the same side of a surface within a distance of the organ; `corrected` is where they are
+    estimated to be, (c, 3) m.
     """
-    offset = registration.corrected(seen.position) - pairs.position
+    offset = corrected - pairs.position
     near = np.abs(np.einsum("cd,cd->c", pairs.normal, offset)) <= _reach(reach_m, seen.precision)
     return SurfaceRows(
         pairs.normal,
@@ -115,7 +117,7 @@ def tangent_rows(
     places: MaterialPoints,
     normal: FloatArray,
     displacement: FloatArray,
-    registration: RegistrationError,
+    correction: RigidMotion,
     reach_m: float,
 ) -> SurfaceRows:
     """Make two equations along the surface of each small patch of points that are followed, (2 t,).
@@ -130,10 +132,12 @@ def tangent_rows(
         Of the surface as it has moved.
     displacement : (n, 3) m
         Of the nodes.
+    correction : RigidMotion
+        From where they are told to be to where they are estimated to be.
     """
     position = places.reference + np.einsum("tk,tkd->td", places.weights, displacement[places.nodes])
     seen = tracks.reference + tracks.displacement
-    far = np.linalg.norm(registration.corrected(seen) - position, axis=1)
+    far = np.linalg.norm(correction.apply(seen) - position, axis=1)
     least = np.eye(3)[np.abs(normal).argmin(axis=1)]
     first = unit_rows(np.cross(normal, least))
     both = (first, np.cross(normal, first))
