@@ -15,7 +15,12 @@ from softtissue_estimator.estimators.elastic.observed import Matchable, Observed
 from softtissue_estimator.estimators.elastic.observed_pairs import ObservedPairs
 from softtissue_estimator.estimators.elastic.observed_surface import ObservedSurface, SurfaceObservation
 from softtissue_estimator.estimators.elastic.posterior import Posterior
-from softtissue_estimator.estimators.elastic.registration_error import RegistrationError, told_error
+from softtissue_estimator.estimators.elastic.registration_error import (
+    OwnMotion,
+    RegistrationError,
+    own_motion,
+    told_error,
+)
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.estimators.elastic.tracking import ElasticTracker
 from softtissue_estimator.estimators.elastic.tracks import Tracks
@@ -185,17 +190,27 @@ class ElasticEstimator(Estimator):
         expected = replace(model.registration, scales=seen.registration_scales)
         if observation.registration_covariance is not None:
             expected = told_error(model.organ.centre, observation.registration_covariance)
-        registration = expected
+        registration, free = expected, not model.organ.attached.any()
+        if free:
+            registration = own_motion(model.organ.centre, motion)
         if self._tracker is not None:
-            registration = self._tracker.registration(registration)
+            known = self._tracker.registration(registration)
+            # Pairs say themselves where the organ is.
+            registration = registration if free and motion is not IDENTITY else known
         config = self._config
-        solver = Solver(model, seen, motion, registration, config.prior_sigma_m, config.model_sigma_m)
+        about = IDENTITY if free else motion
+        solver = Solver(model, seen, about, registration, config.prior_sigma_m, config.model_sigma_m)
         posterior = solver.solve() if self._tracker is None else self._tracker.answer(solver)
         watch.lap("solve")
         sigma = solver.deviation(posterior)
         watch.lap("uncertainty")
         ratio = model.ratios.ratios[posterior.ratio]
         mean = posterior.mean.cpu().numpy()
+        if free:
+            nodes = model.mesh.nodes
+            expected = expected.scaled(expected.scales[0])
+            mean = posterior.registration_after.correction.undo(nodes + mean) - nodes
+            sigma = np.hypot(sigma, expected.deviation(nodes + mean))
         diagnosis = self._diagnosis(posterior, expected, solver.unexplained(posterior), outliers)
         estimate = ElasticEstimate(
             model, posterior.observed, posterior.residual, ratio, mean, sigma, diagnosis, watch.stages
@@ -248,7 +263,8 @@ class ElasticEstimator(Estimator):
         unexplained: float,
         outliers: float,
     ) -> Diagnosis:
-        known = posterior.registration_after
+        # What moves an organ that is attached nowhere is not told from an error of the registration.
+        known = expected if isinstance(posterior.registration, OwnMotion) else posterior.registration_after
         found = RegistrationEstimate(known.centre, known.correction, known.root @ known.root.T)
         tracker = self._tracker
         lost, surprised = (False, False) if tracker is None else (tracker.lost, tracker.surprised)

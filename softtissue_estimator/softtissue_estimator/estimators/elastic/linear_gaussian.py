@@ -122,10 +122,21 @@ def mean_displacement(tangent: Tangent, amplitudes: Amplitudes) -> Tensor:
     return tangent.offset + moved.double().reshape(-1, 3)
 
 
-def standard_deviation(tangent: Tangent, amplitudes: Amplitudes) -> Tensor:
-    """Root mean square of the three components' posterior standard deviations at the nodes, (n,) float64 m."""
+def standard_deviation(tangent: Tangent, amplitudes: Amplitudes, moving: Tensor | None = None) -> Tensor:
+    """Root mean square of the three components' posterior standard deviations at the nodes, (n,) float64 m.
+
+    Parameters
+    ----------
+    tangent : Tangent
+    amplitudes : Amplitudes
+    moving : (n, 3, k) float64 m or None
+        Displacement of the nodes by each nuisance parameter; None where these do not move the organ.
+    """
     # Single precision is plenty for a standard deviation.
-    root = amplitudes.root
+    root, response = amplitudes.root, tangent.response
+    if moving is not None:
+        root = torch.cat([root, root.new_ones(moving.shape[2])])
+        response = torch.cat([response, moving.flatten(0, 1).float()], dim=1)
     count = len(root)
     inverse = invert_lower(amplitudes.loads_factor)[:, :count]
     half = inverse.float() * root.float()  # L^-1 D, as triangular as L
@@ -133,7 +144,7 @@ def standard_deviation(tangent: Tangent, amplitudes: Amplitudes) -> Tensor:
     for begin in range(0, len(half), _BLOCK_ROWS):
         end = min(begin + _BLOCK_ROWS, len(half))
         loads = min(end, count)
-        part = tangent.response[:, :loads] @ half[begin:end, :loads].T
+        part = response[:, :loads] @ half[begin:end, :loads].T
         variance += part.square().view(-1, 3 * (end - begin)).sum(dim=1)
     return (variance / 3.0).sqrt().double()
 

@@ -26,8 +26,8 @@ from softtissue_estimator.support.cache import Arrays, cached_arrays
 
 _CACHE_VERSION = 3  # of the tetrahedra and what is located in them
 # Stiffness of the springs to the surroundings over the organ's own: next to nothing where the organ is attached, and
-# where it is attached nowhere as much as keeps it from swimming away.
-_GROUND_SHARE_HELD, _GROUND_SHARE_FREE = 1e-5, 0.03
+# where nobody says where it is attached as much as attachments somewhere hold it on average.
+_GROUND_SHARE_HELD, _GROUND_SHARE_FREE = 1e-5, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +90,7 @@ def build_model(
         If the organ cannot be filled with tetrahedra.
     """
     if not organ.attached.any():
-        progress(
-            "the organ is attached nowhere: it follows the rigid motion of the observed surface, and bends freely"
-        )
+        progress("the organ is attached nowhere: it may be anywhere near, and bends freely")
     # By the surface and the query points alone: another attached region keeps the mesh.
     stored = cached_arrays(
         "tetrahedra",

@@ -16,28 +16,30 @@ the loads that nothing was seen of, and with them the doubt about what is hidden
 LEAST_DEVIATION_M = 5e-5  # standard deviation of any answer, for all that the model does not describe
 
 
-def nodal_sigma(posterior: Posterior, moved: Tensor, prior_sigma_m: float) -> FloatArray:
+def nodal_sigma(posterior: Posterior, nodes: Tensor, moved: Tensor, prior_sigma_m: float) -> FloatArray:
     """Return the standard deviation of each component at the nodes, (n,) m.
 
     Parameters
     ----------
     posterior : Posterior
+    nodes : (n, 3) float64 m
+        At rest.
     moved : (n, 3) float64 m
         Displacement of the nodes without bending.
     prior_sigma_m : float
         As in `EstimatorConfig`.
     """
     if posterior.hidden_variance is None:
-        linear = _doubting_variance(posterior, prior_sigma_m)
+        linear = _doubting_variance(posterior, nodes, prior_sigma_m)
     else:
-        found = standard_deviation(posterior.tangent, posterior.amplitudes)
+        found = standard_deviation(posterior.tangent, posterior.amplitudes, posterior.moving(nodes))
         linear = found.square() + posterior.hidden_variance
     bent = torch.linalg.vector_norm(posterior.mean - moved, dim=1)
     variance = linear + (MODEL_ERROR_SHARE * bent).square() + LEAST_DEVIATION_M**2
     return np.asarray(variance.sqrt().cpu().numpy(), dtype=np.float64)
 
 
-def hidden_variance(posterior: Posterior, start: WarmStart, prior_sigma_m: float) -> Tensor:
+def hidden_variance(posterior: Posterior, start: WarmStart, nodes: Tensor, prior_sigma_m: float) -> Tensor:
     """Return what the loads that the next frame leaves out add to the nodes' variance, (n,) m^2.
 
     Parameters
@@ -46,15 +48,18 @@ def hidden_variance(posterior: Posterior, start: WarmStart, prior_sigma_m: float
         With all loads.
     start : WarmStart
         What the next frame takes of it.
+    nodes : (n, 3) float64 m
+        At rest.
     prior_sigma_m : float
         As in `EstimatorConfig`.
     """
-    found = standard_deviation(start.tangent, posterior.amplitudes.with_loads(start.loads))
-    return (_doubting_variance(posterior, prior_sigma_m) - found.square()).clamp_min(0.0)
+    part = posterior.amplitudes.with_loads(start.loads)
+    found = standard_deviation(start.tangent, part, posterior.moving(nodes))
+    return (_doubting_variance(posterior, nodes, prior_sigma_m) - found.square()).clamp_min(0.0)
 
 
-def _doubting_variance(posterior: Posterior, prior_sigma_m: float) -> Tensor:
+def _doubting_variance(posterior: Posterior, nodes: Tensor, prior_sigma_m: float) -> Tensor:
     """Return the nodes' variance with a least variance of every load, (n,) m^2; the posterior has all loads."""
     equal = equal_variances(posterior.tangent, posterior.observed.nodes, prior_sigma_m)
     amplitudes = posterior.amplitudes.with_least_variances(LEAST_VARIANCE_SHARE * equal)
-    return standard_deviation(posterior.tangent, amplitudes).square()
+    return standard_deviation(posterior.tangent, amplitudes, posterior.moving(nodes)).square()

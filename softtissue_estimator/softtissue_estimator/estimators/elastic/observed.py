@@ -66,6 +66,10 @@ class Matchable(Protocol):
         """Errors of the model with which it is matched about rest, from coarse to fine; none where pairs are given."""
 
     @property
+    def first_field_m(self) -> float:
+        """Standard deviation of the error that neighbouring patches share, before the evidence tells it, m."""
+
+    @property
     def turns(self) -> int:
         """How often a frame that follows another one explains it, at most."""
 

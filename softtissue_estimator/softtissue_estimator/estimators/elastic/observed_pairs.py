@@ -12,7 +12,7 @@ from softtissue_estimator.estimators.elastic.observed import Conditioned, Explai
 from softtissue_estimator.estimators.elastic.observed_nodes import ObservedPlaces
 from softtissue_estimator.estimators.elastic.registration_error import REGISTRATION_SCALES, RegistrationError
 from softtissue_estimator.estimators.elastic.relevance import Variances
-from softtissue_estimator.estimators.elastic.smooth_error import field_columns
+from softtissue_estimator.estimators.elastic.smooth_error import FIRST_SIGMA_M, field_columns
 from softtissue_estimator.observation.patch_average import ObservedPatches
 from softtissue_estimator.organ.mesh import FloatArray
 
@@ -29,6 +29,7 @@ class ObservedPairs:
     components = 3
     turns = 2
     first_sigmas_m: tuple[float, ...] = ()
+    first_field_m = FIRST_SIGMA_M
     least_sigma_m = 0.0
     registration_scales = REGISTRATION_SCALES
 

@@ -53,6 +53,8 @@ class SurfaceObservation:
 
     Attributes
     ----------
+    first_field_m : float
+        See `Matchable`.
     field : (c, m) float64
         What each independent part of the sensor's smooth error does to each row of `SurfaceRows`: nothing along the
         surface.
@@ -73,6 +75,8 @@ class SurfaceObservation:
         tracks: ObservedPatches | None = None,
     ) -> None:
         self.seen, self.surface, self.sensor_bias_m, self.tracks = seen, surface, sensor_bias_m, tracks
+        # An organ that rests is not moved by an error of the sensor, as long as that is as likely.
+        self.first_field_m = sensor_bias_m
         self.places = None if tracks is None else surface.followed(tracks.reference)
         if len(seen.position) < LEAST_PATCHES:
             raise _too_few(len(seen.position), "that show a surface")

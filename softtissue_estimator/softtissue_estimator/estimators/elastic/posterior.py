@@ -9,7 +9,7 @@ from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.observed import Observed
-from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
+from softtissue_estimator.estimators.elastic.registration_error import OwnMotion, RegistrationError
 from softtissue_estimator.estimators.elastic.relevance import Amplitudes, Variances
 from softtissue_estimator.organ.mesh import FloatArray
 
@@ -76,6 +76,12 @@ class Posterior:
     def registration_after(self) -> RegistrationError:
         """What is known of the registration afterwards."""
         return self.registration.conditioned(self.amplitudes.nuisance.cpu().numpy(), self.nuisance_covariance)
+
+    def moving(self, nodes: Tensor) -> Tensor | None:
+        """Displacement of nodes (n, 3) m by each nuisance parameter, (n, 3, k) m; None where none moves the organ."""
+        if not isinstance(self.registration, OwnMotion):
+            return None
+        return self.registration.columns(nodes + self.mean)
 
     @property
     def nuisance_covariance(self) -> FloatArray:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from softtissue_estimator.estimators.elastic.posterior import Posterior
-from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
+from softtissue_estimator.estimators.elastic.registration_error import OwnMotion, RegistrationError
 from softtissue_estimator.organ.mesh import FloatArray
 
 _NEW_SHARE = 0.05  # of what a frame tells that follows another one within a tenth of a second
@@ -47,6 +47,11 @@ class RegistrationFilter:
             return (1.0,)
         return tuple(scale / self.supposed.scales[0] for scale in self.supposed.scales)
 
+    def follow(self, posterior: Posterior) -> None:
+        """Go with an organ that is attached nowhere, as any frame shows it."""
+        if isinstance(self.supposed, OwnMotion):
+            self.supposed = self.supposed.about(posterior.registration_after.correction)
+
     def observe(self, posterior: Posterior) -> None:
         """Take a share of what an explained frame tells, and let the error wander until the next.
 
@@ -55,6 +60,8 @@ class RegistrationFilter:
         posterior : Posterior
             With all loads: those that seem irrelevant hold part of the doubt.
         """
+        if isinstance(self.supposed, OwnMotion):
+            return
         precision = np.linalg.inv(posterior.nuisance_covariance)
         share = _NEW_SHARE if self._observed else 1.0
         self._observed = True

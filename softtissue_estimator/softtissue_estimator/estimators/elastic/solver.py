@@ -21,7 +21,6 @@ from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmSta
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest, settled
 from softtissue_estimator.estimators.elastic.relevance import Variances
-from softtissue_estimator.estimators.elastic.smooth_error import FIRST_SIGMA_M
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import FloatArray
 
@@ -71,8 +70,7 @@ class Solver:
         nodes = model.mesh.nodes
         self._moved = to_tensor(motion.apply(nodes) - nodes, model.device)
         self._rotation = to_tensor(motion.rotation, model.device)
-        # Nothing but its surroundings holds an organ that is attached nowhere, and those move with it.
-        self._rest = torch.zeros_like(self._moved) if model.organ.attached.any() else self._moved
+        self._rest = torch.zeros_like(self._moved)
 
     @property
     def registration(self) -> RegistrationError:
@@ -177,7 +175,7 @@ class Solver:
         leading = leading_loads(amplitudes.variances, _FILLED_SHARE * equal, amplitudes.loads_gram)
         start = warm_start(posterior, leading)
         if hidden is None:
-            hidden = hidden_variance(posterior, start, self._prior_sigma_m)
+            hidden = hidden_variance(posterior, start, self._model.nodes, self._prior_sigma_m)
         return replace(start, hidden_variance=hidden)
 
     def start(self, registration: RegistrationError, updates: int = VARIANCE_UPDATES) -> Posterior:
@@ -188,7 +186,7 @@ class Solver:
         first = _FIRST_REACH_DEVIATIONS * (sigmas[0] if sigmas else math.inf)
         observed = self._observation.about(self._moved, registration, first)
         loads = equal_variances(tangent, observed.nodes, self._prior_sigma_m)
-        variances = Variances(loads, loads.new_tensor(FIRST_SIGMA_M**2))
+        variances = Variances(loads, loads.new_tensor(self._observation.first_field_m**2))
         for sigma in sigmas:
             weight = np.ones(len(observed.precision))
             posterior = self._explain(observed, tangent, registration, variances, sigma, weight, 1, ratio)
@@ -265,7 +263,7 @@ class Solver:
 
     def deviation(self, posterior: Posterior) -> FloatArray:
         """Return the standard deviation of each component at the nodes, (n,) m."""
-        return nodal_sigma(posterior, self._moved, self._prior_sigma_m)
+        return nodal_sigma(posterior, self._model.nodes, self._moved, self._prior_sigma_m)
 
     def _plausible(
         self, fit: Callable[[float], Posterior], model_sigma_m: float, observed: Observed

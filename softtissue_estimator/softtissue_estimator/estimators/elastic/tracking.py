@@ -194,6 +194,8 @@ class ElasticTracker:
             still = not memory.rigid and _distance(posterior.mean, earlier.tangent.state) < _STILL_DISTANCE_M
         self._innovations.observe(self._stamp_s, posterior.innovation)
         memory = replace(memory, mean=posterior.mean)
+        if registration is not None:
+            registration.follow(posterior)
         if not still:
             memory = replace(memory, settled=0)
         self._keep(memory, registration, solver, posterior, variances, still)
