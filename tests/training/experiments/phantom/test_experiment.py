@@ -4,22 +4,23 @@ import csv
 import dataclasses
 import functools
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_types_from_msg
+from scipy.spatial.transform import Rotation
 
+from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.organ import load_organ
-from softtissue_estimator.registration.elastic_registration import (
-    ElasticRegistrationSettings,
-    register_elastically,
-)
+from softtissue_estimator.registration.find_pose import PoseFinder
 from softtissue_training.cli import main
 from softtissue_training.evaluation.methods import parse_methods
 from softtissue_training.experiments.coherent_point_drift import DriftSettings
 from softtissue_training.experiments.phantom import variants
-from softtissue_training.experiments.phantom.case import load_phantom_case
+from softtissue_training.experiments.phantom.bare import answer_surface
+from softtissue_training.experiments.phantom.case import ObservedSurface, load_phantom_case
 from softtissue_training.experiments.phantom.case_bag import write_case_bag
 from softtissue_training.experiments.phantom.experiment import run_phantom
 from softtissue_training.experiments.phantom.own_case import own_phantom_case
@@ -136,13 +137,9 @@ def test_tracking_noise_is_drawn_anew_in_every_frame(tmp_path):
 
 
 def test_surface_alone_is_registered_in_both_ways(tmp_path, monkeypatch):
-    quick = functools.partial(
-        register_elastically, settings=ElasticRegistrationSettings(falling_turns=4, last_turns=1)
-    )
     monkeypatch.setattr(
         variants, "DriftSettings", functools.partial(DriftSettings, samples=200, iterations=10)
     )
-    monkeypatch.setattr(variants, "register_elastically", quick)
     case = load_phantom_case(write_case(tmp_path, correspondences=None, surface=True))
     run = run_phantom(case, parse_methods("zero,rigid"))
     assert [variant.key for variant in run.variants] == ["registered", "drift"]
@@ -151,6 +148,40 @@ def test_surface_alone_is_registered_in_both_ways(tmp_path, monkeypatch):
     own = run.answers[0][2].reading
     error = np.linalg.norm(own.displacement[:4] - bend(MARKERS_M), axis=1)
     assert error.mean() < 0.5 * np.linalg.norm(bend(MARKERS_M), axis=1).mean()
+
+
+def test_surface_in_a_frame_of_its_own_is_brought_to_the_organ_first(tmp_path, monkeypatch):
+    case = load_phantom_case(write_case(tmp_path, correspondences=None, surface=True))
+    turned = RigidMotion(Rotation.from_euler("xyz", [40, -70, 120], degrees=True).as_matrix(), np.ones(3))
+
+    def find(finder, points):
+        return SimpleNamespace(motion=turned, covariance=np.diag([1e-10] * 6), message="found")
+
+    monkeypatch.setattr(PoseFinder, "find", find)
+    elsewhere = ObservedSurface(turned.apply(case.surface_after.points))
+    unknown = dataclasses.replace(case, surface_after=elsewhere, pose_known=False)
+    found = answer_surface(unknown, elsewhere)
+    assert found.found.message == "found"
+    known = answer_surface(case, case.surface_after)
+    expected, _ = known.estimate.displacement_at(MARKERS_M)
+    displacement, _ = found.estimate.displacement_at(MARKERS_M)
+    # Cells in which points are averaged lie along the axes of the organ's frame again.
+    np.testing.assert_allclose(displacement, expected, atol=1e-4)
+
+
+def test_what_is_said_of_the_registration_is_taken_out_of_the_answer(tmp_path):
+    case = load_phantom_case(write_case(tmp_path, correspondences=None, surface=True))
+    shift = np.array([0.004, -0.003, 0.005])
+    off = ObservedSurface(case.surface_after.points + shift)
+    exact, told = (
+        answer_surface(dataclasses.replace(case, registration_sigma=sigma), off)
+        for sigma in (None, (0.005, 0.02))
+    )
+    errors = [
+        np.linalg.norm(answer.estimate.displacement_at(MARKERS_M)[0] - bend(MARKERS_M), axis=1).mean()
+        for answer in (exact, told)
+    ]
+    assert errors[1] < 0.6 * errors[0]
 
 
 def test_an_estimator_that_fails_is_reported_and_stops_nothing(tmp_path, monkeypatch):

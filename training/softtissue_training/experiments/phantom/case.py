@@ -39,7 +39,7 @@ class ObservedSurface:
     Attributes
     ----------
     points
-        (n, 3) m, in the frame of the organ, whose attached part has not moved.
+        (n, 3) m, in the frame of the organ, whose attached part has not moved; in any where the pose is not known.
     normals
         (n, 3) outward; None where the source has no faces.
     """
@@ -81,6 +81,10 @@ class PhantomCase:
         Standard deviation of fresh noise on every coordinate in each frame of a bag of the case, m; 0 for none.
     truth
         None but for simulations.
+    pose_known
+        Whether `surface_after` is in the organ's frame, nearly at least.
+    registration_sigma
+        Standard deviations of each component of a known pose, m and rad; None where it is exact.
     """
 
     name: str
@@ -93,6 +97,8 @@ class PhantomCase:
     sparse: int | None = None
     tracking_noise_m: float = 0.0
     truth: Truth | None = None
+    pose_known: bool = True
+    registration_sigma: tuple[float, float] | None = None
 
 
 def load_phantom_case(folder: Path) -> PhantomCase:
@@ -124,6 +130,8 @@ def load_phantom_case(folder: Path) -> PhantomCase:
         spread_share=file.spread_share,
         surface_after=None if file.surface_after is None else _read_surface(file.surface_after, file),
         tracking_noise_m=file.tracking_noise_m,
+        pose_known=file.pose_known,
+        registration_sigma=file.registration_sigma,
     )
 
 

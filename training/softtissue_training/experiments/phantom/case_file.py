@@ -6,6 +6,7 @@ Everything may be left out where the files have the usual names: `correspondence
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,8 @@ _KEYS = (
     "spread",
     "surface_after",
     "visible",
+    "pose",
+    "registration_sigma",
     "tracking_noise",
 )
 _MESH_FORMATS = (".ply", ".stl", ".obj", ".vtk", ".vtp", ".vtu", ".msh")
@@ -62,6 +65,10 @@ class CaseFile:
         A point (m) and the share of the surface after around it that was visible; None for all of it.
     tracking_noise_m
         Standard deviation of fresh noise on every coordinate in each frame of a bag of the case, m; 0 for none.
+    pose_known
+        Whether the surface after is in the organ's frame, nearly at least.
+    registration_sigma
+        Standard deviations of each component of a known pose, m and rad; None where it is exact.
     """
 
     name: str
@@ -74,6 +81,8 @@ class CaseFile:
     surface_after: Path | None
     visible: tuple[tuple[float, float, float], float] | None
     tracking_noise_m: float
+    pose_known: bool
+    registration_sigma: tuple[float, float] | None
 
 
 def read_case_file(folder: Path, organ_unit: str) -> CaseFile:
@@ -107,6 +116,12 @@ def read_case_file(folder: Path, organ_unit: str) -> CaseFile:
         raise InvalidInputError(
             f"case {folder}: expected correspondences, or the organ's surface after as surface_after, found neither"
         )
+    pose_known = entries.choice("pose", ("known", "unknown"), "known") == "known"
+    registration_sigma = _registration_sigma(entries, unit_m)
+    if registration_sigma is not None and not pose_known:
+        raise InvalidInputError(
+            f"{entries.where('registration_sigma')}: expected a known pose beside it, got pose: unknown"
+        )
     return CaseFile(
         name=entries.text("name") or folder.resolve().name,
         unit_m=unit_m,
@@ -118,6 +133,8 @@ def read_case_file(folder: Path, organ_unit: str) -> CaseFile:
         surface_after=surface_after,
         visible=_visible(entries, unit_m),
         tracking_noise_m=unit_m * (entries.number("tracking_noise", 0.0, 0.05 / unit_m) or 0.0),
+        pose_known=pose_known,
+        registration_sigma=registration_sigma,
     )
 
 
@@ -177,3 +194,21 @@ def _visible(entries: Entries, unit_m: float) -> tuple[tuple[float, float, float
         raise InvalidInputError(f"{inner.where('share')}: expected a number from 0.001 to 1, got nothing")
     x, y, z = centre
     return (x * unit_m, y * unit_m, z * unit_m), share
+
+
+def _registration_sigma(entries: Entries, unit_m: float) -> tuple[float, float] | None:
+    given = entries.value("registration_sigma")
+    if given is None:
+        return None
+    keys = ("translation", "rotation")
+    if not isinstance(given, Mapping):
+        raise InvalidInputError(
+            f"{entries.where('registration_sigma')}: expected a mapping with translation and rotation, got {given!r}"
+        )
+    inner = Entries(entries.path, given, "registration_sigma", keys)
+    translation, degrees = inner.number("translation", 0.0, 0.1 / unit_m), inner.number("rotation", 0.0, 45.0)
+    if translation is None or degrees is None:
+        raise InvalidInputError(
+            f"{entries.where('registration_sigma')}: expected translation and rotation, got {dict(given)!r}"
+        )
+    return translation * unit_m, math.radians(degrees)

@@ -16,7 +16,6 @@ from softtissue_estimator.estimators.estimator import silent
 from softtissue_estimator.observation.observation import Observation, make_observation
 from softtissue_estimator.observation.visibility import visible_fraction
 from softtissue_estimator.organ.mesh import sample_faces
-from softtissue_estimator.registration.elastic_registration import register_elastically
 from softtissue_estimator.registration.rigid_icp import rigid_icp
 from softtissue_training.evaluation.methods import Reading
 from softtissue_training.experiments.coherent_point_drift import (
@@ -24,6 +23,7 @@ from softtissue_training.experiments.coherent_point_drift import (
     coherent_point_drift,
     spread_points,
 )
+from softtissue_training.experiments.phantom.bare import answer_surface
 from softtissue_training.experiments.phantom.case import ObservedSurface, PhantomCase
 from softtissue_training.experiments.phantom.spread import FEWEST_POINTS, spread_correspondences
 
@@ -148,36 +148,43 @@ def _spread(case: PhantomCase, chosen: NDArray[np.int64]) -> Variant:
 def _registered(
     case: PhantomCase, observed: ObservedSurface, asked: FloatArray, progress: Progress
 ) -> Variant:
-    start = time.perf_counter()
-    found = register_elastically(
-        observed.points, case.organ, asked, case.sigma_m, normals=observed.normals, progress=progress
-    )
-    seconds = time.perf_counter() - start
-    reference, points = found.reference[found.counted], observed.points[found.counted]
-    observation = _observe(case, reference, points - reference, case.sigma_m)
+    answer = answer_surface(case, observed, progress)
+    estimate, found = answer.estimate, answer.found
+    observation = _observe(case, answer.reference, answer.points - answer.reference, case.sigma_m)
+    left = 1e3 * float(np.sqrt(np.square(estimate.misfit).sum() / max(len(estimate.seen), 1)))
     text = (
-        f"Only {len(observed.points)} points of the deformed surface: rigid registration (root mean square distance "
-        f"{1e3 * found.rigid.rms_m:.1f} mm), then the elastic posterior and closest points in turn "
-        f"({1e3 * found.rms_m:.1f} mm at the end). {OWN_ANSWER!r} is the posterior that this ends with, which knows "
-        "that nothing was observed along the surface; the other estimators are given its pairs as if they were "
-        "observed."
+        f"Only {len(observed.points)} points of the deformed surface, {_pose_in_words(case)}; "
+        f"{left:.1f} mm from the estimated organ at the end (root mean square, along the normals). {OWN_ANSWER!r} is "
+        "the answer of `elastic` to the points alone, as the node gives it, which knows that nothing was observed "
+        "along the surface; the other estimators are given its pairs as if they were observed."
     )
-    details = {
+    details: dict[str, Any] = {
         "points": len(observed.points),
-        "counted": int(found.counted.sum()),
-        "rigid_rms_mm": 1e3 * found.rigid.rms_m,
-        "rms_mm": 1e3 * found.rms_m,
+        "counted": len(answer.reference),
+        "rms_mm": left,
+        "pose": "known" if found is None else found.message,
     }
-    own = Reading(found.displacement, found.sigma, seconds)
+    own = Reading(*estimate.displacement_at(asked), answer.seconds)
     return _variant(
         case,
         "registered",
-        "no correspondences, elastic registration",
+        "no correspondences",
         text,
         observation,
-        seconds,
+        answer.seconds,
         own,
         details,
+    )
+
+
+def _pose_in_words(case: PhantomCase) -> str:
+    if not case.pose_known:
+        return "in a frame of their own, in which the organ was searched for"
+    if case.registration_sigma is None:
+        return "in the organ's frame"
+    sigma_m, sigma_rad = case.registration_sigma
+    return (
+        f"in the organ's frame but for about {1e3 * sigma_m:.0f} mm and {np.degrees(sigma_rad):.0f} degrees"
     )
 
 
