@@ -16,6 +16,7 @@ from softtissue_estimator.estimators.elastic.posterior import Posterior
 from softtissue_estimator.estimators.elastic.registration_error import told_error
 from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.observation.bare_cloud import BareCloud
+from softtissue_estimator.observation.rigid import fit_rigid
 from softtissue_estimator.observation.seen_surface import seen_surface
 from softtissue_estimator.organ.mesh import sample_faces
 
@@ -180,3 +181,49 @@ def test_a_cloud_far_from_the_organ_is_refused():
         InvalidInputError, match=r"expected at least 10 cells of 5 mm within 60 mm of the organ, got 0"
     ):
         estimator.estimate_bare(far)
+
+
+def test_points_are_matched_where_the_registration_is_estimated_to_put_them(model):
+    registration = told_error(model.organ.centre, np.diag([0.02**2] * 3 + [0.1**2] * 3))
+    shift = np.array([0.0, 0.0, 0.015])
+    cloud = BareCloud(TOP + shift, np.full(len(TOP), 0.0003), CAMERA)
+    found = registration.moved_by(np.concatenate([shift, np.zeros(3)]))
+    matched = observation(model, cloud).about(torch.zeros_like(model.nodes), found, 0.006)
+    assert matched.counts.mean() > 0.9
+    assert np.linalg.norm(matched.displacement - shift, axis=1).mean() < 0.002
+
+
+def without_motion(displacement):
+    motion = fit_rigid(SURFACE.vertices, SURFACE.vertices + displacement, np.ones(len(displacement)))
+    return displacement - (motion.apply(SURFACE.vertices) - SURFACE.vertices)
+
+
+@pytest.mark.parametrize("tracking", [False, True])
+def test_an_organ_attached_nowhere_moves_and_bends(tracking):
+    free = organ_of(SURFACE, np.zeros(len(SURFACE.vertices), dtype=np.bool_))
+    config = dataclasses.replace(CONFIG, tracking=tracking, tracking_patience_s=60.0)
+    estimator = ElasticEstimator(config)
+    estimator.load_organ(free)
+    shift = np.array([0.0, 0.0, 0.012])
+    rng = np.random.default_rng(3)
+    for number, step in enumerate((0.0, 0.5, 1.0, 1.0) if tracking else (1.0,)):
+        shown = seen(step, rng)
+        cloud = dataclasses.replace(
+            shown,
+            points=shown.points + step * shift,
+            stamp_s=0.3 * number,
+            registration_covariance=np.diag([0.001**2] * 3 + [0.01**2] * 3),
+        )
+        estimate = estimator.estimate_bare(cloud)
+    estimator.close()
+    truth = bent(SURFACE.vertices, 1.0) + shift
+    error = np.linalg.norm(estimate.displacement - truth, axis=1)
+    assert error.mean() < 0.3 * np.linalg.norm(truth, axis=1).mean()
+    assert np.sqrt(np.mean(np.square(error / estimate.sigma)) / 3.0) < 2.0
+    # A smooth organ turns in its own surface without being seen to; how it is bent does not depend on that.
+    bending = without_motion(estimate.displacement), without_motion(truth)
+    wrong = np.linalg.norm(bending[0] - bending[1], axis=1).mean()
+    assert wrong < 0.5 * np.linalg.norm(bending[1], axis=1).mean()
+    # Nobody can know where it is in the organ's frame better than the registration is known.
+    assert estimate.sigma.min() >= 0.001
+    np.testing.assert_array_equal(estimate.diagnosis.registration.step, np.zeros(6))
