@@ -143,7 +143,8 @@ def measure(name: str, estimator: ElasticEstimator, case: PhantomCase, clouds: l
         errors.append(1e3 * np.linalg.norm(displacement - cloud.moved, axis=1))
         sigmas.append(np.full(len(errors[-1]), np.nan) if sigma is None else 1e3 * sigma)
     if not errors:
-        return Row(name, len(clouds), *[float("nan")] * 5, answered=0)
+        nothing = float("nan")
+        return Row(name, len(clouds), nothing, nothing, nothing, nothing, nothing, 0)
     error, sigma_mm = np.stack(errors), np.stack(sigmas)
     component = float(np.sqrt(np.square(error).mean() / 3.0))
     return Row(

@@ -151,7 +151,7 @@ def _registered(
     answer = answer_surface(case, observed, progress)
     estimate, found = answer.estimate, answer.found
     observation = _observe(case, answer.reference, answer.points - answer.reference, case.sigma_m)
-    left = 1e3 * float(np.sqrt(np.square(estimate.misfit).sum() / max(len(estimate.seen), 1)))
+    left = 1e3 * float(np.sqrt(np.square(estimate.misfit).sum() / max(len(answer.reference), 1)))
     text = (
         f"Only {len(observed.points)} points of the deformed surface, {_pose_in_words(case)}; "
         f"{left:.1f} mm from the estimated organ at the end (root mean square, along the normals). {OWN_ANSWER!r} is "
