@@ -106,7 +106,7 @@ class Solver:
     def afresh(self, posterior: Posterior, registration: RegistrationError) -> Posterior:
         """Explain the observation about the same state, as if nothing were known of the loads."""
         loads = equal_variances(posterior.tangent, posterior.observed.nodes, self._prior_sigma_m)
-        variances = Variances(loads, loads.new_tensor(FIRST_SIGMA_M**2))
+        variances = Variances(loads, loads.new_tensor(self._observation.first_field_m**2))
         return self._about(posterior, registration, variances, posterior.model_sigma_m, VARIANCE_UPDATES)
 
     def _about(
