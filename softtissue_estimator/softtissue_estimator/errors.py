@@ -18,6 +18,10 @@ class InvalidInputError(SoftTissueError, ValueError):
     """An argument, a parameter or an observation that cannot be used."""
 
 
+class OrganNotFoundError(InvalidInputError):
+    """A cloud that does not show the organ where it is expected: out of view, or with a registration that is wrong."""
+
+
 class MeshError(SoftTissueError):
     """A mesh that cannot be read or has no usable geometry."""
 

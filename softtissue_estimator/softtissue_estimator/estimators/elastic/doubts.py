@@ -1,4 +1,6 @@
-"""Why an answer must not be relied on, from what the posterior found out about the observation: one place for all."""
+"""Why an answer must not be relied on, or not be given at all, from what the posterior found out: one place for all."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +17,63 @@ MOST_SHARED_ERROR_M = 0.0015
 """Standard deviation of the error that neighbouring points share: more than sensors and trackers that work have."""
 MOST_SQUARED_ERRORS = 16.8
 """Of the registration's six errors over the variances that are expected at worst, summed: the 99th percentile."""
+
+LEAST_SHOWN = 0.05
+"""Share of the organ's surface. A cloud that shows less fits anything, unless it fits an organ that bends closely."""
+LEAST_SHOWN_OF_BEFORE = 0.15
+"""Share of what earlier clouds showed, below which an organ is no longer followed."""
+LEAST_SHOWN_AGAIN = 0.25
+"""The same of an organ that was lost: what is around it may look a little like it."""
+LEAST_SHOWN_WHERE_IT_WAS = 0.75
+"""The same of an organ that was lost and is found without having moved."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """How much of an organ a cloud shows, of which nobody says what each of its points is.
+
+    Attributes
+    ----------
+    patches : int
+        On the organ.
+    share : float
+        Of its surface, 0 to 1.
+    before : float
+        Patches of the clouds before, while the organ was followed; 0 where it was not.
+    """
+
+    patches: int
+    share: float
+    before: float
+
+
+def disbelief(posterior: Posterior, unexplained: float, shown: Shown) -> str:
+    """Return why an answer that starts anew is not about the organ, a sentence; empty where it may be.
+
+    A bare cloud may show anything, and an organ that is allowed to bend fits a little of everything.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    unexplained : float
+        What the posterior and the noise leave of what is seen, m.
+    shown : Shown
+    """
+    if shown.patches < LEAST_SHOWN_AGAIN * shown.before:
+        return (
+            f"cloud: expected the organ, got {shown.patches} cells of 5 mm that may be on it where"
+            f" {shown.before:.0f} were; it is looked for"
+        )
+    if shown.before == 0.0 and shown.share >= LEAST_SHOWN:
+        return ""
+    said = "cloud: expected the organ, got a surface that"
+    if unexplained > LOST_TRACK_MISFIT_M:
+        return f"{said} does not fit it, by {1e3 * unexplained:.1f} mm; it is looked for"
+    if not posterior.plausible or is_implausible_displacement(
+        posterior.mean, posterior.observed.displacement
+    ):
+        return f"{said} it fits only where it is torn or moves far more than what is seen; it is looked for"
+    return ""
 
 
 def doubts(

@@ -7,9 +7,10 @@ from scipy.sparse import csr_array
 from threadpoolctl import ThreadpoolController
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.errors import InvalidInputError, SoftTissueError
+from softtissue_estimator.errors import InvalidInputError, OrganNotFoundError, SoftTissueError
 from softtissue_estimator.estimators.diagnosis import Diagnosis, RegistrationEstimate
 from softtissue_estimator.estimators.elastic.doubts import doubts
+from softtissue_estimator.estimators.elastic.memory import Known, reason_for_disbelief
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
 from softtissue_estimator.estimators.elastic.observed import Matchable, Observed
 from softtissue_estimator.estimators.elastic.observed_pairs import ObservedPairs
@@ -200,7 +201,7 @@ class ElasticEstimator(Estimator):
         config = self._config
         about = IDENTITY if free else motion
         solver = Solver(model, seen, about, registration, config.prior_sigma_m, config.model_sigma_m)
-        posterior = solver.solve() if self._tracker is None else self._tracker.answer(solver)
+        posterior = _alone(solver) if self._tracker is None else self._tracker.answer(solver)
         watch.lap("solve")
         sigma = solver.deviation(posterior)
         watch.lap("uncertainty")
@@ -283,3 +284,12 @@ class ElasticEstimator(Estimator):
                 surprised,
             ),
         )
+
+
+def _alone(solver: Solver) -> Posterior:
+    """Explain an observation that is not part of a stream."""
+    posterior = solver.solve()
+    reason = reason_for_disbelief(solver, posterior, Known().as_lost())
+    if reason:
+        raise OrganNotFoundError(reason)
+    return posterior

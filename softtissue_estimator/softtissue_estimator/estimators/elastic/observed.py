@@ -78,6 +78,10 @@ class Matchable(Protocol):
         """Error of the model that its patches show at least, m."""
 
     @property
+    def identified(self) -> bool:
+        """Whether it is given which part of the organ each patch shows: else it may show anything."""
+
+    @property
     def registration_scales(self) -> tuple[float, ...]:
         """Sizes of the registration's error, over the largest that is expected, which its evidence tells apart."""
 

@@ -28,6 +28,7 @@ class ObservedPairs:
 
     components = 3
     turns = 2
+    identified = True
     first_sigmas_m: tuple[float, ...] = ()
     first_field_m = FIRST_SIGMA_M
     least_sigma_m = 0.0

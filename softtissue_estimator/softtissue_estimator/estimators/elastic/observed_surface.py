@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.errors import OrganNotFoundError
 from softtissue_estimator.estimators.elastic.closest_points import MovedSurface
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.linear_gaussian import LEAST_FIELD_SIGMA_M, mean_displacement
@@ -63,6 +63,7 @@ class SurfaceObservation:
     """
 
     first_sigmas_m: tuple[float, ...] = FIRST_SIGMAS_M
+    identified = False
     turns = 2
     least_sigma_m = LEAST_SIGMA_M
     registration_scales: tuple[float, ...] = SURFACE_SCALES
@@ -204,5 +205,5 @@ class ObservedSurface:
         return Conditioned(amplitudes, mean, self._left(registration, mean, amplitudes), evidence)
 
 
-def _too_few(count: int, where: str) -> InvalidInputError:
-    return InvalidInputError(f"cloud: expected at least {LEAST_PATCHES} cells of 5 mm {where}, got {count}")
+def _too_few(count: int, where: str) -> OrganNotFoundError:
+    return OrganNotFoundError(f"cloud: expected at least {LEAST_PATCHES} cells of 5 mm {where}, got {count}")

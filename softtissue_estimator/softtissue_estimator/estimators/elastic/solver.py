@@ -22,6 +22,7 @@ from softtissue_estimator.estimators.elastic.registration_error import Registrat
 from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest, settled
 from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.observation.rigid import RigidMotion
+from softtissue_estimator.observation.seen_surface import CELL_M
 from softtissue_estimator.organ.mesh import FloatArray
 
 MOST_RATIO_CHANGES = 2
@@ -53,6 +54,13 @@ class Solver:
         What is known of it before.
     prior_sigma_m, model_sigma_m : float
         As in `EstimatorConfig`.
+
+    Attributes
+    ----------
+    ratios : frozenset of int
+        Numbers of the Poisson's ratios that the organ may have.
+    identified, patch_share : bool, float
+        Whether it is given which part of the organ each patch shows; share of the organ's surface that a patch is.
     """
 
     def __init__(
@@ -64,18 +72,15 @@ class Solver:
         prior_sigma_m: float,
         model_sigma_m: float,
     ) -> None:
-        self._model, self._observation, self._registration = model, observation, registration
+        self._model, self._observation, self.registration = model, observation, registration
+        self.identified, self.ratios = observation.identified, model.ratios.numbers
+        self.patch_share = CELL_M**2 / float(model.organ.surface_lookup.patch_areas.sum())
         self._prior_sigma_m = prior_sigma_m
         self._misfit = Misfit(max(model_sigma_m, observation.least_sigma_m))
         nodes = model.mesh.nodes
         self._moved = to_tensor(motion.apply(nodes) - nodes, model.device)
         self._rotation = to_tensor(motion.rotation, model.device)
         self._rest = torch.zeros_like(self._moved)
-
-    @property
-    def registration(self) -> RegistrationError:
-        """What is known of the registration's error before the observation."""
-        return self._registration
 
     def unexplained(self, posterior: Posterior) -> float:
         """Return the root mean square of what a posterior leaves and noise does not, m; outliers count little."""
@@ -84,14 +89,9 @@ class Solver:
     def _weights(self, posterior: Posterior) -> FloatArray:
         return self._misfit.weights(posterior.observed, posterior.residual, posterior.model_sigma_m)
 
-    @property
-    def ratios(self) -> frozenset[int]:
-        """Numbers of the Poisson's ratios that the organ may have."""
-        return self._model.ratios.numbers
-
     def solve(self) -> Posterior:
         """Explain the observation without knowing anything from before."""
-        found = [explained(self, self._registration, scale) for scale in self._registration.scales]
+        found = [explained(self, self.registration, scale) for scale in self.registration.scales]
         posterior = settled(self, likeliest(self, found))
         for _ in range(MOST_RATIO_CHANGES):
             before, posterior = posterior.ratio, self._improve_by_choice(posterior)
@@ -126,7 +126,7 @@ class Solver:
 
         None where the organ has moved too far since for that. `predicted` is what the nodes are expected at, (n, 3) m.
         """
-        observed = self._observation.about(predicted, self._registration, REACH_M)
+        observed = self._observation.about(predicted, self.registration, REACH_M)
         weight, sigma = np.ones(len(observed.precision)), start.model_sigma_m
         least = LEAST_START_SHARE * equal_variances(start.tangent, observed.nodes, self._prior_sigma_m)
         variances = start.variances.at_least_each(least)
@@ -135,7 +135,7 @@ class Solver:
                 self._explain,
                 observed,
                 start.tangent,
-                self._registration,
+                self.registration,
                 variances,
                 weight=weight,
                 updates=1,

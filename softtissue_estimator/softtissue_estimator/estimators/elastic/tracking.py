@@ -4,18 +4,25 @@ What the thread makes of an observation is taken over by the first one that is m
 both, and waited for where it is not ready: with enough patience the same stream has the same answers on every machine.
 """
 
+import copy
 import logging
 import os
 import sys
 import threading
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 
-from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.errors import OrganNotFoundError
 from softtissue_estimator.estimators.elastic.improvement import Task, improve
 from softtissue_estimator.estimators.elastic.innovations import Innovations
+from softtissue_estimator.estimators.elastic.memory import (
+    Known,
+    Memory,
+    followed_from,
+    reason_for_disbelief,
+)
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
@@ -38,40 +45,6 @@ _STILL_REFRESH_S = 1.0  # after which it makes another: the observed part of a s
 _START_VARIANCE_UPDATES = 2  # of all loads; the thread makes more
 
 
-@dataclass(frozen=True, eq=False)
-class _Memory:
-    """What is known of an organ between two frames.
-
-    Attributes
-    ----------
-    state : WarmStart or None
-        About which the next observation is explained.
-    rigid : bool
-        Whether that is about a rigid motion, for want of a step of the thread.
-    before_loss : WarmStart or None
-        State from which the newest observation could not be followed.
-    ratio : int or None
-        Poisson's ratio, which survives a loss of track: the organ stays the same.
-    settled : int
-        Steps since the organ last moved.
-    stepped_s : float
-        Stamp of the newest observation that a step was made about.
-    steps : int
-        That the thread was given since it was about a rigid motion.
-    mean : (n, 3) float64 m or None
-        Displacement of the nodes in the newest answer.
-    """
-
-    state: WarmStart | None = None
-    rigid: bool = False
-    before_loss: WarmStart | None = None
-    ratio: int | None = None
-    settled: int = 0
-    stepped_s: float = 0.0
-    steps: int = 0
-    mean: torch.Tensor | None = None
-
-
 class ElasticTracker:
     """Keeps what is known of an organ from frame to frame.
 
@@ -92,8 +65,7 @@ class ElasticTracker:
     def __init__(self, patience_s: float) -> None:
         self._patience_s = patience_s
         self._lock = threading.Lock()
-        self._memory = _Memory()
-        self._registration: RegistrationFilter | None = None
+        self._known = Known()
         self._innovations = Innovations()
         self._pending: tuple[Task, Future[tuple[Posterior, WarmStart]]] | None = None
         self._stamp_s, self._frames = (
@@ -113,15 +85,15 @@ class ElasticTracker:
     def registration(self, expected: RegistrationError) -> RegistrationError:
         """Return what is known of the registration before the next frame."""
         with self._lock:
-            if self._registration is None:
-                self._registration = RegistrationFilter(expected)
-            return self._registration.supposed
+            filtered = self._known.registration or RegistrationFilter(expected)
+            self._known = replace(self._known, registration=filtered)
+            return filtered.supposed
 
     @property
     def lost(self) -> bool:
         """Whether an organ that was known could not be followed, and no step has been made since."""
         with self._lock:
-            return self._memory.rigid and self._memory.ratio is not None
+            return self._known.memory.rigid and self._known.memory.ratio is not None
 
     @property
     def surprised(self) -> bool:
@@ -150,82 +122,106 @@ class ElasticTracker:
         except Exception as error:
             if not future.done():
                 return  # the next observation asks again
-            _log.error("the elastic posterior was not improved between frames: %s", error)
-            self.forget()
+            self._forget_after(error)
             return
         with self._lock:
             if self._pending is not pending:
                 return  # forgotten meanwhile
             self._pending = None
-            if self._registration is task.registration:
+            if self._known.registration is task.registration:
                 task.registration.observe(better)
-            settled = self._memory.settled + 1 if better.ratio == self._memory.ratio else 0
-            self._memory = replace(
-                self._memory,
+            memory = self._known.memory
+            settled = memory.settled + 1 if better.ratio == memory.ratio else 0
+            memory = replace(
+                memory,
                 state=state,
                 rigid=False,
                 ratio=better.ratio,
                 settled=settled,
                 stepped_s=task.stamp_s,
             )
+            self._known = replace(self._known, memory=memory)
 
     def answer(self, solver: Solver) -> Posterior:
-        """Explain the observation that `catch_up` was called for."""
+        """Explain the observation that `catch_up` was called for.
+
+        Raises
+        ------
+        OrganNotFoundError
+            If what the observation shows is not the organ. What was known of a lost one is kept: it may come back where
+            it was.
+        """
         with self._lock:
-            memory, registration = self._memory, self._registration
-        # One cloud that nothing before suggests may have been wrong: the next one says whether the organ did move so.
-        if (
-            memory.before_loss is not None
-            and _followed(solver, memory.before_loss, memory.before_loss.tangent.state) is not None
-        ):
-            memory = self._return_to(memory)
-        memory = replace(memory, before_loss=None)
-        earlier = memory.state
-        posterior = None if earlier is None else _followed(solver, earlier, _predicted(memory, earlier))
+            before = self._known
+        solver, posterior, known = followed_from(solver, before)
+        returned = before.lost is not None and known.memory is before.lost.memory
+        earlier, reason = known.memory.state, ""
         if posterior is None or earlier is None:
-            before_loss = memory.before_loss if memory.rigid else earlier
-            posterior, state = self._start(solver)
-            variances = posterior.amplitudes.prior
-            memory = replace(memory, state=state, rigid=True, before_loss=before_loss)
-            still = False
+            posterior, known, reason = self._anew(solver, known)
+            variances, still = posterior.amplitudes.prior, False
         else:
+            if known.lost is not None:
+                reason = reason_for_disbelief(solver, posterior, known.lost)
+                known = known if reason else replace(known, lost=None)
             # Loads that have become irrelevant get a little back, so that a new one can be found.
             variances = earlier.all_variances.at_least(_LEAST_VARIANCE_SHARE)
-            still = not memory.rigid and _distance(posterior.mean, earlier.tangent.state) < _STILL_DISTANCE_M
+            moved_m = _distance(posterior.mean, earlier.tangent.state)
+            still = not known.memory.rigid and moved_m < _STILL_DISTANCE_M
+        if known.registration is not None and not reason:
+            known.registration.follow(posterior)
+        if not reason or known.lost is not None:
+            known = known.after(posterior, still)
+            lost_now = bool(reason) and (before.lost is None or before.lost.believed)
+            self._keep(before, known, solver, posterior, variances, still, returned or lost_now)
+        if reason:
+            raise OrganNotFoundError(reason)
         self._innovations.observe(self._stamp_s, posterior.innovation)
-        memory = replace(memory, mean=posterior.mean)
-        if registration is not None:
-            registration.follow(posterior)
-        if not still:
-            memory = replace(memory, settled=0)
-        self._keep(memory, registration, solver, posterior, variances, still)
         return posterior
+
+    def _anew(self, solver: Solver, known: Known) -> tuple[Posterior, Known, str]:
+        """Start anew; also return what is known then, and why the answer is not believed, if it is not."""
+        posterior, state = self._start(solver)
+        reason = reason_for_disbelief(solver, posterior, known.lost or known.as_lost())
+        lost, registration = known.lost, known.registration
+        if lost is None and known.memory.state is not None and (reason or not known.memory.rigid):
+            lost = replace(known.as_lost(), believed=not reason)
+            # What is supposed to be the organ from now on may not be.
+            registration = copy.copy(registration) if reason else registration
+        elif not reason:
+            lost = None
+        memory = replace(known.memory, state=state, rigid=True, patches=0.0)
+        return posterior, Known(memory, registration, lost), reason
 
     def _keep(
         self,
-        memory: _Memory,
-        registration: RegistrationFilter | None,
+        before: Known,
+        known: Known,
         solver: Solver,
         posterior: Posterior,
         variances: Variances,
         still: bool,
+        give_up: bool,
     ) -> None:
         """Remember, and give the thread something to do where it has nothing and the organ moves."""
         with self._lock:
-            if registration is None or self._registration is not registration:
+            if self._known.registration is not before.registration:
                 return  # forgotten meanwhile
-            self._memory = memory
+            if give_up:
+                self._give_up()
+            memory, registration = known.memory, known.registration
+            self._known = known
             rests = memory.settled >= _SETTLED_STEPS and self._stamp_s - memory.stepped_s < _STILL_REFRESH_S
-            if self._closed or self._pending is not None or (still and rests):
+            if registration is None or self._closed or self._pending is not None or (still and rests):
                 return
-            self._memory = replace(memory, steps=0 if memory.rigid else memory.steps + 1)
+            memory = replace(memory, steps=0 if memory.rigid else memory.steps + 1)
+            self._known = replace(known, memory=memory)
             task = Task(
                 solver,
                 posterior,
                 variances,
                 memory.rigid,
                 memory.ratio,
-                self._memory.steps,
+                memory.steps,
                 registration,
                 self._stamp_s,
             )
@@ -237,28 +233,35 @@ class ElasticTracker:
         state = solver.warm_start(posterior)
         return replace(posterior, hidden_variance=state.hidden_variance), state
 
-    def _return_to(self, memory: _Memory) -> _Memory:
-        """Go on from before a loss; what the thread makes of observations since is not taken."""
-        with self._lock:
-            self._give_up()
-        return replace(memory, state=memory.before_loss, rigid=False)
-
     def _give_up(self) -> None:
         if self._pending is not None:
             self._pending[0].given_up.set()
         self._pending = None
 
+    def _forget_after(self, error: Exception) -> None:
+        """Forget what the thread could not improve: all, or what may not be the organ that is looked for."""
+        with self._lock:
+            lost = self._known.lost
+            if lost is not None and not lost.believed:
+                self._known = replace(self._known, memory=Memory(ratio=lost.memory.ratio))
+                self._give_up()
+                return
+        _log.error("the elastic posterior was not improved between frames: %s", error)
+        self.forget()
+
     def forget(self) -> None:
         """Forget all observations."""
         with self._lock:
-            self._memory, self._registration = _Memory(), None
+            self._known = Known()
             self._innovations = Innovations()
             self._give_up()
 
     def forget_registration(self) -> None:
         """Forget what is known of the registration, not of the organ."""
         with self._lock:
-            self._registration = None
+            lost = self._known.lost
+            memory = self._known.memory if lost is None else lost.memory
+            self._known = Known(memory)
             self._give_up()
 
     def close(self) -> None:
@@ -267,19 +270,6 @@ class ElasticTracker:
         with self._lock:
             self._closed = True
         self._executor.shutdown(wait=False, cancel_futures=True)
-
-
-def _followed(solver: Solver, start: WarmStart, predicted: torch.Tensor) -> Posterior | None:
-    """Return `Solver.follow`; None too where nothing that was seen is near the organ where it was."""
-    try:
-        return solver.follow(start, predicted)
-    except InvalidInputError:
-        return None
-
-
-def _predicted(memory: _Memory, earlier: WarmStart) -> torch.Tensor:
-    """Displacement (n, 3) m that the next observation is expected to show."""
-    return earlier.tangent.state if memory.mean is None else memory.mean
 
 
 def _is_due(task: Task, stamp_s: float, frames: int) -> bool:

@@ -8,7 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.estimators.diagnosis import RegistrationEstimate
-from softtissue_estimator.estimators.elastic.doubts import doubts
+from softtissue_estimator.estimators.elastic.doubts import Shown, disbelief, doubts
 from softtissue_estimator.estimators.elastic.registration_error import expected_error
 from softtissue_estimator.observation.rigid import RigidMotion
 
@@ -75,3 +75,35 @@ def test_nothing_is_said_where_all_is_well():
 def test_each_reason_is_said_alone(wrong, sentence):
     (reason,) = said(**wrong)
     assert sentence in reason
+
+
+def told(patches=400, share=0.2, before=600.0, unexplained=0.0004, plausible=True, farthest=0.019):
+    mean = torch.zeros(4, 3, dtype=torch.float64)
+    mean[2, 1] = farthest
+    posterior = SimpleNamespace(
+        mean=mean, plausible=plausible, observed=SimpleNamespace(displacement=OBSERVED)
+    )
+    return disbelief(posterior, unexplained, Shown(patches, share, before))
+
+
+def test_an_organ_that_fits_is_believed_however_it_was_found():
+    assert told() == told(before=0.0) == told(before=0.0, share=0.02) == ""
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        ({"patches": 140}, "140 cells of 5 mm that may be on it where 600 were"),
+        ({"unexplained": 0.0021}, "does not fit it, by 2.1 mm"),
+        ({"plausible": False}, "torn or moves far more"),
+        ({"farthest": 0.021}, "torn or moves far more"),
+    ],
+)
+def test_what_does_not_fit_a_lost_organ_is_not_believed(wrong, sentence):
+    assert sentence in told(**wrong)
+
+
+def test_a_first_cloud_that_shows_enough_is_answered_however_it_fits():
+    wrong = {"unexplained": 0.0021, "plausible": False, "before": 0.0}
+    assert told(**wrong) == ""
+    assert "does not fit" in told(**wrong, share=0.04)
