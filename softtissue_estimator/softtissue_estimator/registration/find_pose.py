@@ -17,7 +17,7 @@ from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_estimator.registration.landmark_pose import landmark_prior
 from softtissue_estimator.registration.oriented_cloud import OrientedCloud
-from softtissue_estimator.registration.pose_score import INDEPENDENT_SHARE, PoseScore
+from softtissue_estimator.registration.pose_score import CLEARLY_DIFFERENT_M, INDEPENDENT_SHARE, PoseScore
 from softtissue_estimator.registration.pose_search import (
     RandomSteps,
     closest_points,
@@ -31,8 +31,6 @@ from softtissue_estimator.registration.poses import PosePrior, Poses, distinct
 FloatArray = NDArray[np.float64]
 _Scored = tuple[Poses, FloatArray]
 
-CLEARLY_DIFFERENT_M = 0.015
-"""Mean distance between the organ's points under two poses that are told apart."""
 DEFAULT_START_SIGMAS = (0.020, 0.26)
 """Standard deviations of a start that states none: m of a translation and rad of a rotation, each component."""
 
@@ -42,6 +40,7 @@ LEAST_BLIND_MARGIN = 4.0
 """The same where nobody says from where the cloud is seen: without outlines, wrong poses fit far better."""
 
 _ABOUT = 0.97
+_NEAR_REJECTED = 1.3  # of that distance: poses that explain a cloud lie as near to a rejected one as they may
 _SECONDS = 3  # poses that are tried to the end as the second one
 _LEAST_OVERLAP = 0.15
 _DRAWN_STARTS = 150
@@ -76,7 +75,7 @@ class FoundPose:
     overlap
         Share of the cloud that is on the organ, by that probability, 0 to 1.
     ambiguous
-        True if a clearly different pose explains the cloud almost as well, or nothing does.
+        True if a clearly different pose explains the cloud almost as well, or nothing does, or only what was rejected.
     second
         The best of the clearly different poses, however well it explains the cloud; None where there is none.
     margin
@@ -114,6 +113,7 @@ class PoseFinder:
         camera: FloatArray | None = None,
         start: PosePrior | None = None,
         landmarks: tuple[FloatArray, FloatArray] | None = None,
+        rejected: tuple[RigidMotion, ...] = (),
     ) -> FoundPose:
         """Find the organ's pose in a cloud.
 
@@ -128,6 +128,8 @@ class PoseFinder:
             What is known of the pose; None for nothing.
         landmarks
             At least three places, (m, 3) m in the organ's frame and (m, 3) m in the cloud's; instead of a start.
+        rejected
+            Poses that are known to be wrong, as `motion` of what is found: none near them, by `CLEARLY_DIFFERENT_M`.
 
         Raises
         ------
@@ -139,7 +141,7 @@ class PoseFinder:
             raise InvalidInputError("registration: expected a start or landmarks, got both")
         prior = start if landmarks is None else landmark_prior(*landmarks, self._surface.centre)
         rng = np.random.default_rng(0)
-        scores = [PoseScore(self._surface, cloud, prior) for cloud in _clouds(points, camera)]
+        scores = [PoseScore(self._surface, cloud, prior, rejected) for cloud in _clouds(points, camera)]
         found = [self._search(score, rng) for score in scores]
         best = int(np.argmax([values[0] for _, values in found]))
         pose, value, others = self._best(scores[best], *found[best], rng)
@@ -206,12 +208,15 @@ class PoseFinder:
             message = (
                 f"a second pose, {1e3 * apart_m:.0f} mm away on average, explains the cloud almost as well"
             )
+        near_wrong = score.is_rejected(pose, _NEAR_REJECTED * CLEARLY_DIFFERENT_M)
+        if near_wrong:
+            message = "the pose that explains the cloud best is nearly one that was rejected"
         return FoundPose(
             motion=pose,
             covariance=_covariance(score, pose, rng),
             rms_m=float(np.sqrt((weight * height**2).sum() / max(float(weight.sum()), 1e-12))),
             overlap=overlap,
-            ambiguous=ambiguous or overlap < _LEAST_OVERLAP,
+            ambiguous=ambiguous or overlap < _LEAST_OVERLAP or near_wrong,
             second=second,
             margin=margin,
             message=message,

@@ -5,7 +5,12 @@ The search keeps a core busy for seconds and holds Python's lock for parts of th
 
 from __future__ import annotations
 
+import os
+import select
 import subprocess
+import tempfile
+import threading
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +23,7 @@ from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_estimator.registration.find_pose import FoundPose, PoseFinder
 from softtissue_estimator.registration.poses import PosePrior
-from softtissue_estimator.support.leftovers import child_environment, run_contained, temporary_folder
+from softtissue_estimator.support.leftovers import child_environment, contained, temporary_folder
 
 FloatArray = NDArray[np.float64]
 
@@ -38,7 +43,7 @@ class PoseQuestion:
     ----------
     surface
         Of the organ at rest, organ's frame, m.
-    points, camera, start, landmarks
+    points, camera, start, landmarks, rejected
         See there.
     """
 
@@ -47,55 +52,145 @@ class PoseQuestion:
     camera: FloatArray | None = None
     start: PosePrior | None = None
     landmarks: tuple[FloatArray, FloatArray] | None = None
+    rejected: tuple[RigidMotion, ...] = ()
 
 
 def find_elsewhere(question: PoseQuestion) -> FoundPose:
-    """Find a pose in another process, which ends with this one.
+    """Find a pose in another process that is not kept; see `PoseProcess.find`."""
+    with closing(PoseProcess()) as process:
+        return process.find(question)
 
-    Raises
-    ------
-    InvalidInputError
-        If the question cannot be answered.
-    PoseWorkerError
-        If the other process failed.
+
+class PoseProcess:
+    """Another process, which keeps the organ that it has prepared for a minute after the last search.
+
+    It ends with this one. Threads that ask at the same time wait for each other.
     """
-    with temporary_folder() as folder:
-        source, target = folder / "question.npz", folder / "answer.npz"
-        np.savez(source, **_arrays_of(question), allow_pickle=False)
-        environment = child_environment(one_thread=True, folder=folder)
-        try:
-            done = run_contained([str(_WORKER), str(source), str(target)], folder, environment, _TIMEOUT_S)
-        except subprocess.TimeoutExpired as error:
-            raise PoseWorkerError(f"expected a pose within {_TIMEOUT_S:.0f} s, got none") from error
-        if done.returncode != 0:
-            raise PoseWorkerError(done.stderr or f"the process ended with {done.returncode}")
-        with np.load(target, allow_pickle=False) as answer:
-            if "refused" in answer:
-                raise InvalidInputError(str(answer["refused"]))
-            return _found_of(answer)
 
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._stack = ExitStack()
+        self._child: subprocess.Popen[bytes] | None = None
 
-def serve(source: Path, target: Path) -> None:
-    """Be the other process: answer the question of one file in another."""
-    with np.load(source, allow_pickle=False) as stored:
-        question = _question_of(stored)
-    answer: dict[str, Any]
-    try:
-        found = PoseFinder(question.surface).find(
-            question.points, camera=question.camera, start=question.start, landmarks=question.landmarks
+    def prepare(self, surface: SurfaceMesh) -> None:
+        """Let it prepare an organ's surface, so that the first search takes less time."""
+        with self._lock:
+            self._asked(_surface_arrays(surface))
+
+    def find(self, question: PoseQuestion) -> FoundPose:
+        """Find a pose.
+
+        Raises
+        ------
+        InvalidInputError
+            If the question cannot be answered.
+        PoseWorkerError
+            If the other process failed.
+        """
+        with self._lock:
+            return _found_of(self._asked(_arrays_of(question)))
+
+    def close(self) -> None:
+        """End the process; another question begins it anew."""
+        with self._lock:
+            self._end()
+
+    def _end(self) -> None:
+        self._child = None
+        self._stack.close()
+
+    def _asked(self, question: dict[str, Any]) -> dict[str, Any]:
+        """Ask, and begin the process where it does not run."""
+        answer = None if self._child is None else self._answer(self._child, question)
+        if answer is None:  # it may have ended just now
+            self._end()
+            answer = self._answer(self._begin(), question)
+        if answer is None:
+            self._errors.seek(0)
+            said = self._errors.read().decode(errors="replace")
+            self._end()
+            raise PoseWorkerError(said or "the process ended without an answer")
+        if "refused" in answer:
+            raise InvalidInputError(str(answer["refused"]))
+        return answer
+
+    def _begin(self) -> subprocess.Popen[bytes]:
+        self._folder = self._stack.enter_context(temporary_folder())
+        self._errors = self._stack.enter_context(tempfile.TemporaryFile())  # noqa: SIM115 (the stack does)
+        environment = child_environment(one_thread=True, folder=self._folder)
+        self._child = self._stack.enter_context(
+            contained([str(_WORKER)], self._folder, environment, self._errors)
         )
-        answer = _arrays_of_found(found)
-    except InvalidInputError as error:
-        answer = {"refused": np.array(str(error))}
-    np.savez(target, **answer, allow_pickle=False)
+        return self._child
+
+    def _answer(self, child: subprocess.Popen[bytes], question: dict[str, Any]) -> dict[str, Any] | None:
+        """Return the answer; None where the process ends without one."""
+        source, target = self._folder / "question.npz", self._folder / "answer.npz"
+        np.savez(source, **question, allow_pickle=False)
+        stdin, stdout = child.stdin, child.stdout
+        if stdin is None or stdout is None:
+            return None
+        try:
+            os.write(stdin.fileno(), f"{source}\t{target}\n".encode())
+        except OSError:
+            return None
+        poll = select.poll()
+        poll.register(stdout, select.POLLIN)
+        if not poll.poll(1e3 * _TIMEOUT_S):
+            self._end()
+            raise PoseWorkerError(f"expected a pose within {_TIMEOUT_S:.0f} s, got none")
+        if os.read(stdout.fileno(), 1) != b"!":
+            return None
+        with np.load(target, allow_pickle=False) as answer:
+            return dict(answer)
+
+
+class Server:
+    """The other process: keeps the organ that it was asked about last."""
+
+    def __init__(self) -> None:
+        self._key = b""
+        self._finder: PoseFinder | None = None
+
+    def serve(self, source: Path, target: Path) -> None:
+        """Answer the question of one file in another."""
+        with np.load(source, allow_pickle=False) as stored:
+            arrays = dict(stored)
+        answer: dict[str, Any]
+        try:
+            finder = self._prepared(SurfaceMesh(arrays["vertices"], arrays["faces"]))
+            answer = {} if "points" not in arrays else _arrays_of_found(_found(finder, _question_of(arrays)))
+        except InvalidInputError as error:
+            answer = {"refused": np.array(str(error))}
+        np.savez(target, **answer, allow_pickle=False)
+
+    def _prepared(self, surface: SurfaceMesh) -> PoseFinder:
+        key = surface.vertices.tobytes() + surface.faces.tobytes()
+        if self._finder is None or key != self._key:
+            self._finder, self._key = PoseFinder(surface), key
+        return self._finder
+
+
+def _found(finder: PoseFinder, question: PoseQuestion) -> FoundPose:
+    return finder.find(
+        question.points,
+        camera=question.camera,
+        start=question.start,
+        landmarks=question.landmarks,
+        rejected=question.rejected,
+    )
+
+
+def _surface_arrays(surface: SurfaceMesh) -> dict[str, Any]:
+    return {"vertices": surface.vertices, "faces": surface.faces}
 
 
 def _arrays_of(question: PoseQuestion) -> dict[str, Any]:
-    arrays: dict[str, Any] = {
-        "vertices": question.surface.vertices,
-        "faces": question.surface.faces,
-        "points": question.points,
-    }
+    arrays = _surface_arrays(question.surface) | {"points": question.points}
+    if question.rejected:
+        arrays["rejected"] = np.stack(
+            [np.column_stack([m.rotation, m.translation]) for m in question.rejected]
+        )
     if question.camera is not None:
         arrays["camera"] = question.camera
     if question.start is not None:
@@ -114,6 +209,7 @@ def _question_of(stored: Any) -> PoseQuestion:
         if "start_covariance" in stored
         else None,
         (stored["on_organ"], stored["in_cloud"]) if "on_organ" in stored else None,
+        tuple(RigidMotion(m[:, :3], m[:, 3]) for m in stored.get("rejected", ())),
     )
 
 

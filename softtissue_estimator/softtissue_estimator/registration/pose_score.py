@@ -7,17 +7,23 @@ its surface a smooth organ is. The organ is deformed by more than the sensor err
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.registration.oriented_cloud import SPACING_M, OrientedCloud
 from softtissue_estimator.registration.pose_surface import PoseSurface
 from softtissue_estimator.registration.poses import PosePrior, Poses
 
 FloatArray = NDArray[np.float64]
 
+CLEARLY_DIFFERENT_M = 0.015
+"""Mean distance between the organ's points under two poses that are told apart."""
+TOO_NEAR = 2e4
+"""What a pose costs that is nearer than that to one that is not wanted, a metre."""
 SIGMA_M = 0.004
 """Of a point of a deformed organ from the surface of the undeformed one in the best rigid pose."""
 INDEPENDENT_SHARE = 0.1
@@ -57,8 +63,15 @@ class Fit:
 class PoseScore:
     """Scores poses of a surface in a cloud, in the units of a logarithm of a likelihood; the higher the better."""
 
-    def __init__(self, surface: PoseSurface, cloud: OrientedCloud, prior: PosePrior | None = None) -> None:
+    def __init__(
+        self,
+        surface: PoseSurface,
+        cloud: OrientedCloud,
+        prior: PosePrior | None = None,
+        rejected: Sequence[RigidMotion] = (),
+    ) -> None:
         self.surface, self.cloud, self.prior = surface, cloud, prior
+        self._rejected = [motion.apply(surface.few) for motion in rejected]
 
     def __call__(self, poses: Poses, sigma_m: float = SIGMA_M, every: int = 1) -> FloatArray:
         """Score poses, (k,).
@@ -74,7 +87,15 @@ class PoseScore:
         score -= self._contradiction(poses, every)
         if self.prior is not None:
             score += self.prior.log_density(poses, self.surface.centre) / INDEPENDENT_SHARE
+        for wrong in self._rejected:
+            away = np.linalg.norm(poses.apply(self.surface.few) - wrong, axis=2).mean(axis=1)
+            score -= TOO_NEAR * np.maximum(0.0, CLEARLY_DIFFERENT_M - away)
         return np.asarray(score)
+
+    def is_rejected(self, pose: RigidMotion, within_m: float) -> bool:
+        """Say whether a pose is so near to a rejected one, on average over the organ."""
+        placed = pose.apply(self.surface.few)
+        return any(np.linalg.norm(placed - wrong, axis=1).mean() < within_m for wrong in self._rejected)
 
     def fit(self, poses: Poses, sigma_m: float = SIGMA_M, every: int = 1) -> Fit:
         """Compare the cloud with the surface, one point of `every`."""

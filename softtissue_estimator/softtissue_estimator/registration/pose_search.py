@@ -16,7 +16,7 @@ from scipy import fft
 
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.registration.oriented_cloud import OrientedCloud
-from softtissue_estimator.registration.pose_score import SIGMA_M, PoseScore
+from softtissue_estimator.registration.pose_score import SIGMA_M, TOO_NEAR, PoseScore
 from softtissue_estimator.registration.pose_surface import PoseSurface
 from softtissue_estimator.registration.poses import Poses, spread_rotations
 
@@ -149,12 +149,9 @@ def rivals(
             steps[:, 0] = best
         tried = origin.moved(steps.reshape(-1, 6), centre)
         away = np.linalg.norm(tried.apply(few) - placed, axis=2).mean(axis=1)
-        scores = score(tried, SIGMA_M, how.every) - _TOO_NEAR * np.maximum(0.0, apart_m - away)
+        scores = score(tried, SIGMA_M, how.every) - TOO_NEAR * np.maximum(0.0, apart_m - away)
         mean, sigmas, best = _kept(steps, scores.reshape(chains, how.count), how.kept)
     return origin.moved(best, centre)
-
-
-_TOO_NEAR = 2e4  # of the score, a metre
 
 
 def _drawn(poses: int, count: int, rng: np.random.Generator) -> FloatArray:

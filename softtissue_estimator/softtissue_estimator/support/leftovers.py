@@ -110,6 +110,51 @@ def run_contained(
         return subprocess.CompletedProcess(command, child.returncode, _end_of(out), _end_of(err))
 
 
+@contextlib.contextmanager
+def contained(
+    program: Sequence[str], folder: Path, environment: Mapping[str, str], errors: IO[bytes]
+) -> Iterator["subprocess.Popen[bytes]"]:
+    """Run a Python program beside this one, which talks to it by its standard input and output, within the block.
+
+    Parameters
+    ----------
+    program, folder, environment
+        As of `run_contained`.
+    errors : file
+        Takes what it prints as errors.
+
+    Raises
+    ------
+    SoftTissueError
+        If this program is ending.
+    """
+    command = [sys.executable, "-P", str(_CONTAINED), str(os.getpid()), *program]
+    with _lock:
+        if _ending:
+            raise SoftTissueError("expected a program that goes on, got one that ends")
+        child = subprocess.Popen(
+            command,
+            cwd=folder,
+            env=dict(environment),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            start_new_session=True,
+        )
+        _children.add(child)
+    try:
+        yield child
+    finally:
+        _kill(child)
+        child.wait()
+        for pipe in (child.stdin, child.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()
+        with _lock:
+            _children.discard(child)
+
+
 def child_environment(*, one_thread: bool = False, folder: Path | None = None) -> dict[str, str]:
     """Return the environment of a program of this package that runs in another process.
 

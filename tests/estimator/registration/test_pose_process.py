@@ -1,5 +1,7 @@
 """The pose in another process is the one that this process would find."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,12 @@ from estimator.lump import make_lump, part_of
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.registration.find_pose import PoseFinder
-from softtissue_estimator.registration.pose_process import PoseQuestion, PoseWorkerError, find_elsewhere
+from softtissue_estimator.registration.pose_process import (
+    PoseProcess,
+    PoseQuestion,
+    PoseWorkerError,
+    find_elsewhere,
+)
 from softtissue_estimator.registration.poses import PosePrior
 
 POINTS = part_of(make_lump())
@@ -28,6 +35,31 @@ def test_pose_is_the_same_elsewhere():
     assert (there.rms_m, there.overlap, there.margin) == pytest.approx(
         (here.rms_m, here.overlap, here.margin)
     )
+
+
+def test_a_rejected_pose_is_not_found_again_and_the_process_keeps_what_it_prepared():
+    surface, camera = make_lump(), np.array([0.10, 0.25, 0.20])
+    with closing(PoseProcess()) as process:
+        process.prepare(surface)
+        number = process._child.pid
+        first = process.find(PoseQuestion(surface, POINTS, camera, START))
+        again = process.find(PoseQuestion(surface, POINTS, camera, START, rejected=(first.motion,)))
+        assert process._child.pid == number
+    apart = again.motion.apply(surface.vertices) - first.motion.apply(surface.vertices)
+    assert np.linalg.norm(apart, axis=1).mean() > 0.012
+    assert again.ambiguous and "rejected" in again.message
+
+
+def test_a_process_that_has_ended_is_begun_anew():
+    with closing(PoseProcess()) as process:
+        process.prepare(make_lump())
+        before = process._child
+        before.kill()
+        before.wait()
+        process.prepare(make_lump())
+        assert process._child.pid != before.pid and process._child.poll() is None
+        child = process._child
+    assert child.poll() is not None
 
 
 def test_what_is_refused_there_is_refused_here():
