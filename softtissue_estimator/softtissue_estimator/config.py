@@ -127,6 +127,12 @@ class EstimatorConfig:
     no_data_timeout_s: float = _setting(
         2.0, "Without a usable cloud for this long, the status says so.", unit="s", limits=(0.1, 3600.0)
     )
+    registration_source: str = _setting(
+        "given",
+        "Where the registration comes from: 'given' by messages or tf2; with 'auto' the node also searches for the "
+        "organ in bare clouds, where none is given and after the organ was lost.",
+        choices=("given", "auto"),
+    )
     use_tf: bool = _setting(
         True,
         "Ask tf2, where it is installed, for the organ's pose when no registration has arrived. Can only be given at "

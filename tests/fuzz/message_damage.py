@@ -11,7 +11,7 @@ from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from sensor_msgs.msg import PointCloud2, PointField
 from softtissue_msgs.msg import Correspondences
-from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints
+from softtissue_msgs.srv import DecideRegistration, LoadOrgan, Register, Reset, WarpPoints
 
 from fuzz.damage import WHOLE_NUMBERS, damaged_bytes, how_often
 from integration.harness import CAMERA_FROM_ORGAN, Scene, pose_message, registration_message, stamp_message
@@ -47,7 +47,7 @@ PARAMETERS = (
     "default_sigma_m", "max_displacement_m", "max_reference_distance_m", "minimum_points", "minimum_visible_fraction",
     "maximum_rejected_fraction", "maximum_sigma_m", "frame_budget_s", "no_data_timeout_s", "organ", "organ_root",
     "estimator", "device", "use_sim_time", "matching", "organ_label", "tracking", "autostart", "nobody", "", "a\nb",
-    "viewpoint",
+    "viewpoint", "registration_source",
 )  # fmt: skip
 
 
@@ -65,9 +65,16 @@ def good_message(kind: str, scene: Scene, stamp: int = 10**18) -> list[Any]:
             "warp_points": lambda: WarpPoints.Request(points=[0.01, 0.0, 0.02, -0.01, 0.0, 0.0]),
             "load_organ": lambda: LoadOrgan.Request(folder="/nowhere"),
             "reset": Reset.Request,
+            "register": _register,
+            "decide_registration": lambda: DecideRegistration.Request(decision=1),
             "parameters": lambda: SetParameters.Request(parameters=[Parameter(name="frame_budget_s")]),
         }[kind]()
     ]
+
+
+def _register() -> Register.Request:
+    # Landmarks that no organ has: it is not searched for, which takes seconds.
+    return Register.Request(landmarks=["nowhere"] * 3, landmark_points=[0.0] * 9)
 
 
 def _camera_pose(stamp: int) -> TransformStamped:
@@ -215,6 +222,24 @@ def _warp(rng: random.Random, request: WarpPoints.Request) -> None:
     request.points = points
 
 
+def _start(rng: random.Random, request: Register.Request) -> None:
+    what = rng.randrange(4)
+    if what == 0:
+        stamped = PoseWithCovarianceStamped(pose=request.start)
+        _pose(rng, stamped)
+        request.start, request.use_start = stamped.pose, True
+    elif what == 1:
+        request.landmarks = [rng.choice(_FRAMES) for _ in range(rng.choice((1, 3, 200)))]
+    elif what == 2:
+        request.landmark_points = [rng.choice(_FLOATS) for _ in range(rng.choice((0, 1, 9, 600)))]
+    else:
+        request.apply, request.use_start = rng.random() < 0.5, rng.random() < 0.5
+
+
+def _decision(rng: random.Random, request: DecideRegistration.Request) -> None:
+    request.decision = rng.choice((0, 1, 2, 3, 4, 255))
+
+
 def _load(rng: random.Random, request: LoadOrgan.Request) -> None:
     request.folder = rng.choice(_PATHS[1:])  # the empty one is the bundled organ
 
@@ -237,5 +262,7 @@ _CHANGES = {
     WarpPoints.Request: _warp,
     LoadOrgan.Request: _load,
     Reset.Request: lambda _rng, _request: None,
+    Register.Request: _start,
+    DecideRegistration.Request: _decision,
     SetParameters.Request: _parameters,
 }

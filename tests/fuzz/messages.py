@@ -21,7 +21,7 @@ _KINDS = (
     ("cloud",) * 8
     + ("pair", "bare") * 4
     + ("registration", "registration_with_covariance", "camera_pose", "warp_points", "parameters") * 2
-    + ("load_organ", "reset")
+    + ("load_organ", "reset", "register", "decide_registration")
 )
 
 

@@ -14,7 +14,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from softtissue_msgs.msg import EstimatorStatus
-from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints
+from softtissue_msgs.srv import DecideRegistration, LoadOrgan, Register, Reset, WarpPoints
 
 from fuzz.kind import FailedError, check_sentence, expect
 from integration.harness import (
@@ -250,7 +250,13 @@ class NodeInside:
             expect(
                 answer.result != answer.SUCCESS or len(answer.points) == len(request.points), "other points"
             )
-        codes = {LoadOrgan.Response: 3, Reset.Response: 2, WarpPoints.Response: 5}
+        codes = {
+            LoadOrgan.Response: 3,
+            Reset.Response: 2,
+            WarpPoints.Response: 5,
+            Register.Response: 4,
+            DecideRegistration.Response: 3,
+        }
         expect(answer.result != codes[type(answer)], f"an internal error: {answer.message}")
         return "answered" if answer.result == 0 else "refused"
 

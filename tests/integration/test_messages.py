@@ -14,7 +14,7 @@ softtissue_msg = pytest.importorskip(
 
 from builtin_interfaces.msg import Time  # noqa: E402
 from softtissue_msgs.msg import Correspondences, EstimatorStatus, Structures  # noqa: E402
-from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints  # noqa: E402
+from softtissue_msgs.srv import DecideRegistration, LoadOrgan, Reset, WarpPoints  # noqa: E402
 from std_msgs.msg import ColorRGBA, Header  # noqa: E402
 
 HEADER = Header(stamp=Time(sec=1_700_000_123, nanosec=987_654_321), frame_id="organ")
@@ -46,6 +46,7 @@ MESSAGES = {
         device="cuda:0",
         organ="Phantom liver – Größe 2",
         matching="tracks",
+        registration="found",
         visible_fraction=0.03125,
         points_used=40_000,
         points_rejected=17,
@@ -81,6 +82,10 @@ MESSAGES = {
         points=[0.11, -0.22, 0.33],
         displacement=[0.01, -0.02, 0.03],
         sigma=[0.004],
+    ),
+    "DecideRegistration.Request": DecideRegistration.Request(decision=DecideRegistration.Request.FREEZE),
+    "DecideRegistration.Response": DecideRegistration.Response(
+        result=DecideRegistration.Response.INVALID, message="no registration"
     ),
     "Reset.Request": Reset.Request(),
     "Reset.Response": Reset.Response(
@@ -157,6 +162,11 @@ def test_nan_stands_for_no_answer():
                 "INTERNAL_ERROR": 5,
                 "BUSY": 6,
             },
+        ),
+        (DecideRegistration.Request, {"ACCEPT": 1, "REJECT": 2, "FREEZE": 3}),
+        (
+            DecideRegistration.Response,
+            {"SUCCESS": 0, "INVALID": 1, "NOT_ACTIVE": 2, "INTERNAL_ERROR": 3},
         ),
         (Reset.Response, {"SUCCESS": 0, "NOT_CONFIGURED": 1, "INTERNAL_ERROR": 2, "BUSY": 3}),
     ],

@@ -66,8 +66,10 @@ def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
     assert who("request", f"/{NODE}/warp_points") == {"display"}
     for topic in ("deformed_points", "registration"):
         assert who("subscribe", f"/{NODE}/{topic}") == {"display"}
-    assert who("request", f"/{NODE}/register") == {"registration"}
-    for service in node["reply"] - {f"/{NODE}/warp_points", f"/{NODE}/register"}:
+    about_registration = {f"/{NODE}/{name}" for name in ("register", "decide_registration")}
+    for service in about_registration:
+        assert who("request", service) == {"registration"}
+    for service in node["reply"] - {f"/{NODE}/warp_points"} - about_registration:
         assert who("request", service) == {"operator"}, service
     for topic in node["publish"]:
         assert who("subscribe", topic) - {"tracker", "registration"}, topic

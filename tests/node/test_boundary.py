@@ -10,7 +10,7 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 
 from rcl_interfaces.msg import Parameter
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from softtissue_msgs.srv import LoadOrgan, Register, Reset, WarpPoints
+from softtissue_msgs.srv import DecideRegistration, LoadOrgan, Register, Reset, WarpPoints
 
 from softtissue_estimator.errors import OrganError
 from softtissue_estimator.ros.boundary import Boundary, is_fatal
@@ -108,7 +108,7 @@ def test_executor_goes_on_until_nothing_else_happens(boundary, monkeypatch):
     assert not boundary.middleware_goes_on(MemoryError())
 
 
-@pytest.mark.parametrize("kind", [LoadOrgan, Register, WarpPoints, Reset])
+@pytest.mark.parametrize("kind", [DecideRegistration, LoadOrgan, Register, WarpPoints, Reset])
 def test_failed_service_never_says_success(kind):
     response = failed_response(kind, kind.Request(), "a sentence")
     assert (response.result, response.message) == (kind.Response.INTERNAL_ERROR, "a sentence")

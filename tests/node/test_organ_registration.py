@@ -43,7 +43,7 @@ CODES = Register.Response
 class Asked:
     """A service whose search answers at once, and remembers what it was asked."""
 
-    def __init__(self, monkeypatch, found=FOUND, config=None):
+    def __init__(self, found=FOUND, config=None):
         self.questions, self.registration = [], Registration()
         self.config = config or EstimatorConfig()
 
@@ -51,12 +51,13 @@ class Asked:
             self.questions.append(question)
             return found
 
-        monkeypatch.setattr(organ_registration, "find_elsewhere", find)
+        self.find = find
         self.service = organ_registration.OrganRegistration(
             SimpleNamespace(engine=SimpleNamespace(organ=ORGAN)),
             self.registration,
             lambda: self.config,
             SimpleNamespace(sentence=lambda _where, error: str(error)),
+            lambda question: self.find(question),
         )
 
     def answer(self, request=None, active=True, cloud=None, frame=FRAME):
@@ -76,8 +77,8 @@ def message(frame=FRAME, columns=None, names=("x", "y", "z")):
 
 
 @pytest.fixture
-def asked(monkeypatch):
-    return Asked(monkeypatch)
+def asked():
+    return Asked()
 
 
 def test_pose_is_answered_in_the_convention_of_ros(asked):
@@ -100,12 +101,12 @@ def test_pose_is_answered_in_the_convention_of_ros(asked):
     assert question.start is None and question.landmarks is None
 
 
-def test_pose_becomes_the_registration_where_that_is_asked_for(asked, monkeypatch):
+def test_pose_becomes_the_registration_where_that_is_asked_for(asked):
     assert asked.answer(Register.Request(apply=True)).applied
     pose = asked.registration.pose(FRAME, "organ", STAMP)
     np.testing.assert_allclose(pose.motion[:3, :3], MOTION.rotation, atol=1e-12)
     np.testing.assert_allclose(pose.covariance_at(ORGAN.centre), COVARIANCE, rtol=1e-6, atol=1e-12)
-    doubtful = Asked(monkeypatch, dataclasses.replace(FOUND, ambiguous=True))
+    doubtful = Asked(dataclasses.replace(FOUND, ambiguous=True))
     response = doubtful.answer(Register.Request(apply=True))
     assert response.ambiguous and not response.applied
     assert np.isnan(doubtful.registration.age_s)
@@ -147,8 +148,8 @@ def test_points_that_are_not_the_organs_are_not_shown(asked):
         ("none", FRAME, False),
     ],
 )
-def test_viewpoint_is_that_of_the_parameter(monkeypatch, viewpoint, frame, known):
-    asked = Asked(monkeypatch, config=EstimatorConfig(viewpoint=viewpoint))
+def test_viewpoint_is_that_of_the_parameter(viewpoint, frame, known):
+    asked = Asked(config=EstimatorConfig(viewpoint=viewpoint))
     asked.answer(frame=frame)
     assert (asked.questions[0].camera is not None) == known
 
@@ -196,7 +197,7 @@ def test_without_cloud_or_activity_nothing_is_searched_for(asked):
     assert not asked.questions
 
 
-def test_second_call_is_refused_while_one_is_at_work(asked, monkeypatch):
+def test_second_call_is_refused_while_one_is_at_work(asked):
     begun, go_on = threading.Event(), threading.Event()
 
     def slow(_question):
@@ -204,7 +205,7 @@ def test_second_call_is_refused_while_one_is_at_work(asked, monkeypatch):
         assert go_on.wait(10.0)
         return FOUND
 
-    monkeypatch.setattr(organ_registration, "find_elsewhere", slow)
+    asked.find = slow
     first, second = CODES(), CODES()
 
     async def both(executor):

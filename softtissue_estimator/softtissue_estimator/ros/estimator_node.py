@@ -15,11 +15,12 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 from softtissue_msgs.msg import EstimatorStatus, Structures
-from softtissue_msgs.srv import LoadOrgan, Register, Reset, WarpPoints
+from softtissue_msgs.srv import DecideRegistration, LoadOrgan, Register, Reset, WarpPoints
 from visualization_msgs.msg import MarkerArray
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.registration.pose_process import PoseProcess
 from softtissue_estimator.ros import parameters
 from softtissue_estimator.ros.boundary import Boundary
 from softtissue_estimator.ros.cloud_stream import CloudStream
@@ -30,6 +31,7 @@ from softtissue_estimator.ros.inputs.transforms import tf_source
 from softtissue_estimator.ros.managed import CONFIGURING, ManagedNode
 from softtissue_estimator.ros.organ_loading import OrganLoading
 from softtissue_estimator.ros.organ_registration import OrganRegistration
+from softtissue_estimator.ros.organ_search import OrganSearch
 from softtissue_estimator.ros.outputs.broadcast import RegistrationBroadcast
 from softtissue_estimator.ros.outputs.status import Condition, diagnostics_message
 from softtissue_estimator.ros.publishing import Outputs
@@ -89,13 +91,19 @@ class EstimatorNode(ManagedNode):
             self.create_lifecycle_publisher(Structures, "~/structures", NEWEST_QOS),
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
-        self._responder = Responder(outputs, self._counters, self._registration, lambda: self._config)
+        self._poses = PoseProcess()
+        self._search = OrganSearch(
+            self._registration, lambda: self._config, self.boundary.sentence, self._poses
+        )
+        self._responder = Responder(
+            outputs, self._counters, self._registration, lambda: self._config, self._search
+        )
         self._stream = CloudStream(
             self, self._responder, self._counters, self._registration, self.boundary, lambda: self._config
         )
         self._organ_loading = OrganLoading(self._responder, lambda: self._config, self.boundary)
         self._organ_registration = OrganRegistration(
-            self._responder, self._registration, lambda: self._config, self.boundary
+            self._responder, self._registration, lambda: self._config, self.boundary, self._poses.find
         )
         self._warps = ServiceCalls("warp points", MOST_WARPS)
         self._reset_s = -math.inf
@@ -109,6 +117,7 @@ class EstimatorNode(ManagedNode):
         waiting = ReentrantCallbackGroup()
         self.create_service(LoadOrgan, "~/load_organ", self._on_load_organ, callback_group=waiting)
         self.create_service(Register, "~/register", self._on_register, callback_group=waiting)
+        self.create_service(DecideRegistration, "~/decide_registration", self._on_decide)
         self.create_service(WarpPoints, "~/warp_points", self._on_warp_points, callback_group=waiting)
         self.create_service(Reset, "~/reset", self._on_reset)
 
@@ -133,6 +142,9 @@ class EstimatorNode(ManagedNode):
         """Begin to answer."""
         self._responder.reset()
         self._responder.describe()
+        engine = self._responder.engine
+        if engine is not None:
+            self._search.prepare(engine.organ)
         self.boundary.info(f"answering clouds on {self._stream.open()}")
 
     def deactivate(self) -> None:
@@ -164,6 +176,7 @@ class EstimatorNode(ManagedNode):
             "" if failure is None else self.boundary.words(failure),
             self.boundary.faults,
             self._registration.age_s,
+            self._search.state,
         )
         self._diagnostics.publish(
             diagnostics_message(
@@ -193,6 +206,15 @@ class EstimatorNode(ManagedNode):
         return await self._organ_registration.answer(
             request, response, stream.is_open, stream.newest, self.executor
         )
+
+    def _on_decide(
+        self, request: DecideRegistration.Request, response: DecideRegistration.Response
+    ) -> DecideRegistration.Response:
+        if not self._stream.is_open:
+            response.result = DecideRegistration.Response.NOT_ACTIVE
+            response.message = "expected an active node, got one that is not"
+            return response
+        return self._search.decide(request.decision, response)
 
     async def _on_warp_points(
         self, request: WarpPoints.Request, response: WarpPoints.Response

@@ -15,20 +15,15 @@ from softtissue_estimator.errors import InvalidInputError, SoftTissueError
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.registration.find_pose import DEFAULT_START_SIGMAS, FoundPose
-from softtissue_estimator.registration.pose_process import PoseQuestion, find_elsewhere
+from softtissue_estimator.registration.pose_process import PoseQuestion
 from softtissue_estimator.registration.poses import PosePrior
 from softtissue_estimator.ros.boundary import Boundary
+from softtissue_estimator.ros.cloud_poses import place_of, pose_question
 from softtissue_estimator.ros.inputs.conversions import (
-    FARTHEST_M,
-    check_cloud,
-    read_cloud,
     read_rigid,
-    stamp_ns,
 )
-from softtissue_estimator.ros.inputs.point_labels import read_labels
 from softtissue_estimator.ros.inputs.pose_covariance import at_centre, at_origin, read_covariance
 from softtissue_estimator.ros.inputs.registration import OrganPose, Registration
-from softtissue_estimator.ros.questions import OPTICAL
 from softtissue_estimator.ros.responder import Responder
 from softtissue_estimator.ros.service_calls import ServiceCalls
 from softtissue_estimator.support.sentences import one_sentence
@@ -54,6 +49,8 @@ class OrganRegistration:
         Returns the configuration as it is now.
     boundary : Boundary
         Takes what is going on, and errors.
+    find : callable
+        Searches (`PoseProcess.find`).
     """
 
     def __init__(
@@ -62,9 +59,10 @@ class OrganRegistration:
         registration: Registration,
         config: Callable[[], EstimatorConfig],
         boundary: Boundary,
+        find: Callable[[PoseQuestion], FoundPose],
     ) -> None:
         self._responder, self._registration = responder, registration
-        self._config, self._boundary = config, boundary
+        self._config, self._boundary, self._find = config, boundary, find
         self._calls = ServiceCalls("register", most=1)
 
     async def answer(
@@ -85,10 +83,15 @@ class OrganRegistration:
 
         def work() -> None:
             try:
-                found = find_elsewhere(self._question(request, cloud, organ))
+                config, cameras = self._config(), self._registration.cameras
+                place = place_of(cloud, cameras, config.registration_max_age_s)
+                start = _start(request, organ) if request.use_start else None
+                landmarks = _landmarks(request, organ)
+                question = pose_question(cloud, organ, config, cameras, start=start, landmarks=landmarks)
+                found = self._find(question)
                 _fill(response, found, cloud, organ)
                 if request.apply and not found.ambiguous:
-                    self._apply(response, cloud, organ)
+                    self._apply(response, place.registration(found, organ))
             except SoftTissueError as error:
                 _refused(response, codes.INVALID, self._boundary.sentence("register", error))
 
@@ -96,41 +99,14 @@ class OrganRegistration:
             _refused(response, codes.BUSY, _BUSY)
         return response
 
-    def _question(self, request: Register.Request, message: PointCloud2, organ: Organ) -> PoseQuestion:
-        check_cloud(message, False)
-        cloud = read_cloud(message, False)
-        labels = read_labels(message, self._config().organ_label)
-        points = cloud.points.astype(np.float64)
-        wanted = np.isfinite(points).all(axis=1) & (np.abs(points) < FARTHEST_M).all(axis=1)
-        if labels.organ is not None:
-            wanted &= labels.organ
-        start = _start(request, organ) if request.use_start else None
-        landmarks = _landmarks(request, organ)
-        return PoseQuestion(organ.surface, points[wanted], self._camera(cloud.frame), start, landmarks)
-
-    def _camera(self, frame: str) -> FloatArray | None:
-        """Return from where a cloud is seen, (3,) m in its own frame, if that is known."""
-        wanted = self._config().viewpoint
-        known = frame.endswith(OPTICAL) or self._registration.cameras.fixed_frame(frame) is not None
-        return np.zeros(3) if wanted == "camera" or (wanted == "auto" and known) else None
-
-    def _apply(self, response: Register.Response, cloud: PointCloud2, organ: Organ) -> None:
-        """Take a pose as the registration: in the fixed frame, if the cloud's camera moves in one."""
-        frame, cameras = cloud.header.frame_id, self._registration.cameras
-        motion = read_rigid(response.pose.pose.orientation, response.pose.pose.position, "register")
-        covariance = np.array(response.pose.covariance).reshape(6, 6)
-        fixed = cameras.fixed_frame(frame)
-        if fixed is not None:
-            found = cameras.lookup(fixed, frame, stamp_ns(cloud.header.stamp))
-            camera = found.motion
-            if camera is None or not abs(found.lag_s) <= self._config().registration_max_age_s:
-                response.message += "; it is not applied, since nobody says where the camera was"
-                return
-            frame, motion = fixed, camera @ motion
-            turned = np.kron(np.eye(2), camera[:3, :3])
-            covariance = turned @ covariance @ turned.T
-        self._registration.take(OrganPose(frame, organ.frame, motion, covariance, told=True))
-        response.applied = True
+    def _apply(self, response: Register.Response, registration: OrganPose | None) -> None:
+        if registration is None:
+            response.message += "; it is not applied, since nobody says where the camera was"
+        elif self._registration.frozen:
+            response.message += "; it is not applied, since the registration is frozen"
+        else:
+            self._registration.take(registration)
+            response.applied = True
 
 
 def _start(request: Register.Request, organ: Organ) -> PosePrior:

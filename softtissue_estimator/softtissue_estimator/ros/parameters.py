@@ -29,6 +29,7 @@ LIVE = frozenset(
         "maximum_sigma_m",
         "frame_budget_s",
         "no_data_timeout_s",
+        "registration_source",
         "tf_timeout_s",
         "registration_max_age_s",
     }

@@ -8,7 +8,7 @@ from sensor_msgs.msg import PointCloud2
 from softtissue_msgs.msg import Correspondences
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.errors import InvalidInputError, OrganNotFoundError
 from softtissue_estimator.estimators.estimator import Estimate, Estimator
 from softtissue_estimator.inference.stopwatch import Stopwatch
 from softtissue_estimator.observation.bare_cloud import BareCloud, make_bare_cloud
@@ -137,7 +137,7 @@ def ask_about_bare(
     near = _near(points, organ, config.max_displacement_m)
     count = int(near.sum())
     if count < config.minimum_points:
-        raise InvalidInputError(
+        raise OrganNotFoundError(
             f"cloud: expected at least {config.minimum_points} points near the organ, got {count} of {len(finite)}"
             f" ({int((~finite).sum())} not finite, {int(finite.sum()) - len(row)} not of the organ by the cloud's"
             f" fields, {len(row) - count} further than {1e3 * config.max_displacement_m:g} mm from where it was)"

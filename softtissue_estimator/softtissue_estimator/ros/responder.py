@@ -9,11 +9,14 @@ from dataclasses import dataclass
 from sensor_msgs.msg import PointCloud2
 
 from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.errors import OrganNotFoundError
 from softtissue_estimator.ros.degradation import degradation_reasons, in_one_sentence
 from softtissue_estimator.ros.engine import Engine
 from softtissue_estimator.ros.frames import Answer, Frame, matching_of
 from softtissue_estimator.ros.inputs.counters import FrameCounters
+from softtissue_estimator.ros.inputs.kinds import Kind
 from softtissue_estimator.ros.inputs.registration import Registration
+from softtissue_estimator.ros.organ_search import OrganSearch
 from softtissue_estimator.ros.outputs.markers import delete_all
 from softtissue_estimator.ros.outputs.status import DEGRADED, INVALID, OK, Report, Setup, status_message
 from softtissue_estimator.ros.publishing import Outputs
@@ -36,6 +39,8 @@ class Outcome:
     answer : Answer or None
     refusal : str
         One sentence; empty where there is an answer.
+    lost : bool
+        Whether it is refused since the organ is not where it is expected.
     """
 
     frame: Frame
@@ -44,6 +49,7 @@ class Outcome:
     made_s: float
     answer: Answer | None = None
     refusal: str = ""
+    lost: bool = False
 
 
 class Responder:
@@ -56,6 +62,8 @@ class Responder:
     registration : Registration
     config : callable
         Returns the configuration as it is now.
+    search : OrganSearch, optional
+        Told whether the organ is where it is expected.
     """
 
     def __init__(
@@ -64,7 +72,9 @@ class Responder:
         counters: FrameCounters,
         registration: Registration,
         config: Callable[[], EstimatorConfig],
+        search: OrganSearch | None = None,
     ) -> None:
+        self._search = search
         self._outputs, self._counters = outputs, counters
         self._registration, self._config = registration, config
         # Guards what follows and makes "still wanted, then published" one step.
@@ -166,12 +176,17 @@ class Responder:
         if engine is None:
             return None
         self._newest = frame
+        if self._search is not None:
+            self._search.begin(engine.organ)
         try:
             answer = engine.answerer.answer(frame, config, self._registration)
         except Exception as error:  # whatever it is, the cloud's sender is told
-            return Outcome(
-                frame, engine, config, time.monotonic(), refusal=self._outputs.explain("estimate", error)
-            )
+            refusal, lost = self._outputs.explain("estimate", error), isinstance(error, OrganNotFoundError)
+            if lost and self._search is not None and frame.kind is not Kind.PAIRS:
+                refusal = self._search.away(frame, engine.organ, refusal)
+            return Outcome(frame, engine, config, time.monotonic(), refusal=refusal, lost=lost)
+        if self._search is not None:
+            self._search.answered()
         return Outcome(frame, engine, config, time.monotonic(), answer)
 
     def deliver(self, outcome: Outcome) -> None:
@@ -180,6 +195,9 @@ class Responder:
             if not self._wanted(outcome):
                 return
             if outcome.answer is None:
+                if outcome.lost and self._answer is not None:
+                    # What is shown is not there any more; other refusals may be of a single cloud.
+                    self._outputs.markers.publish(delete_all(outcome.engine.organ.frame))
                 self.refuse(outcome.frame.cloud, outcome.refusal, matching_of(outcome.frame, outcome.config))
                 return
             try:
@@ -258,7 +276,9 @@ class Responder:
     def _say(self, report: Report) -> None:
         self._report = report
         try:
-            self._outputs.status.publish(status_message(report, self.setup, self._counters.counts))
+            state = "" if self._search is None else self._search.state
+            message = status_message(report, self.setup, self._counters.counts, state)
+            self._outputs.status.publish(message)
         except Exception as error:
             self._outputs.explain("status", error)
         if report.reason:

@@ -11,11 +11,11 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from numpy.typing import NDArray
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.errors import InvalidInputError, OrganNotFoundError
 from softtissue_estimator.ros.inputs.camera_poses import TOPIC, CameraPoses
 from softtissue_estimator.ros.inputs.conversions import read_pose, read_transform
 from softtissue_estimator.ros.inputs.pose_covariance import at_centre, read_covariance
-from softtissue_estimator.ros.inputs.transforms import Lookup, TransformSource
+from softtissue_estimator.ros.inputs.transforms import Lookup, TransformSource, doubt_of
 
 FloatArray = NDArray[np.float64]
 
@@ -43,6 +43,8 @@ class OrganPose:
     fixed : OrganPose or None
         The registration in a fixed frame, in which a camera moves that has the cloud's frame, with its covariance; None
         where it was given in the cloud's own.
+    found : bool
+        Whether the node found it in a cloud.
     """
 
     cloud_frame: str
@@ -52,6 +54,7 @@ class OrganPose:
     told: bool = False
     doubt: str = ""
     fixed: "OrganPose | None" = None
+    found: bool = False
 
     @property
     def given(self) -> "OrganPose":
@@ -101,6 +104,8 @@ class Registration:
         self.cameras = CameraPoses(max_age_s)
         """Poses of moving cameras in the fixed frame in which the organ may be registered."""
         self._changed_s, self._changes = -math.inf, 0
+        self.frozen = False
+        """Whether none replaces the newest (`~/decide_registration`)."""
         self.kept = False
         """Whether its publishers keep it for late comers: then it holds until they send another."""
         self._lock = threading.Lock()
@@ -146,12 +151,24 @@ class Registration:
         """
         self._put(pose)
 
+    @property
+    def newest(self) -> OrganPose | None:
+        """The registration that was told or found last."""
+        return self._newest
+
+    def withdraw(self) -> None:
+        """Forget the newest registration."""
+        with self._lock:
+            self._newest, self._arrived_s, self._changes = None, math.nan, 0
+
     def _put(self, pose: OrganPose) -> None:
         # Clouds may arrive in the organ's own frame, of which a covariance says how exact they are.
         if pose.cloud_frame == pose.organ_frame and not np.allclose(pose.motion, np.eye(4), 0.0, _SAME):
             raise InvalidInputError(
                 f"registration: expected no motion of frame {pose.organ_frame!r} in itself, got another"
             )
+        if self.frozen and self._newest is not None and not pose.repeats(self._newest):
+            raise InvalidInputError("registration: expected none while the one in use is frozen, got another")
         with self._lock:
             now = self._arrived_s = time.monotonic()
             # One that only repeats the one before stays the same object, from which others tell that it does.
@@ -176,14 +193,16 @@ class Registration:
         seen = self._seen(newest, cloud_frame, organ_frame, stamp_ns)
         motion = seen.found.motion
         if motion is not None:
-            doubt = _doubt(seen.source, seen.found, self._max_age_s())
+            doubt = doubt_of(seen.source, seen.found, self._max_age_s())
             if seen.fixed is None:
                 return OrganPose(cloud_frame, organ_frame, motion, doubt=doubt)
             doubt = "; ".join(filter(None, (seen.fixed.doubt, doubt)))
             motion = inverse(motion) @ seen.fixed.motion
             return OrganPose(cloud_frame, organ_frame, motion, told=True, doubt=doubt, fixed=seen.fixed)
         have = "none" if newest is None else f"one of {newest.organ_frame!r} in {newest.cloud_frame!r}"
-        raise InvalidInputError(
+        # Where one is told, the organ need not be searched for.
+        unknown = newest is None or newest.organ_frame != organ_frame
+        raise (OrganNotFoundError if unknown else InvalidInputError)(
             f"cloud: expected frame {organ_frame!r} or a registration of {organ_frame!r} in the cloud's frame,"
             f" got a cloud in frame {cloud_frame!r} and {have}{_hint(cloud_frame, organ_frame, newest, seen.found)}"
         )
@@ -248,26 +267,6 @@ class _Seen:
     source: str
     found: Lookup
     fixed: OrganPose | None = None
-
-
-def _doubt(source: str, found: Lookup, max_age_s: float) -> str:
-    """Say why a pose, or a transform of tf2, may not be that at the cloud's stamp.
-
-    Raises
-    ------
-    InvalidInputError
-        If it is too far from it.
-    """
-    if math.isnan(found.lag_s):
-        return f"{source}: expected a cloud with a stamp, since its frame moves, got the stamp 0"
-    if found.lag_s == 0.0:
-        return ""
-    side = "older" if found.lag_s > 0.0 else "newer"
-    what = "transform" if source == "tf2" else "pose"
-    said = f"{source}: expected a {what} at the cloud's stamp, got one {abs(found.lag_s):.3f} s {side} than the cloud"
-    if abs(found.lag_s) > max_age_s:
-        raise InvalidInputError(f"{said}, more than registration_max_age_s ({max_age_s:g} s)")
-    return said
 
 
 def _hint(cloud_frame: str, organ_frame: str, newest: OrganPose | None, found: Lookup) -> str:

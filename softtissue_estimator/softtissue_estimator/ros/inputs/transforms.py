@@ -1,5 +1,6 @@
 """Transforms from tf2, which a full ROS 2 installation has: what it knows of a frame at a stamp, and how well."""
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.time import Time
 
+from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.inputs.conversions import read_transform
 from softtissue_estimator.ros.inputs.conversions import stamp_ns as nanoseconds
 from softtissue_estimator.support.sentences import one_sentence
@@ -38,6 +40,26 @@ class Lookup:
     lag_s: float = 0.0
     may_come: bool = False
     reason: str = ""
+
+
+def doubt_of(source: str, found: Lookup, max_age_s: float) -> str:
+    """Say why a pose, or a transform of tf2, may not be that at the cloud's stamp.
+
+    Raises
+    ------
+    InvalidInputError
+        If it is too far from it.
+    """
+    if math.isnan(found.lag_s):
+        return f"{source}: expected a cloud with a stamp, since its frame moves, got the stamp 0"
+    if found.lag_s == 0.0:
+        return ""
+    side = "older" if found.lag_s > 0.0 else "newer"
+    what = "transform" if source == "tf2" else "pose"
+    said = f"{source}: expected a {what} at the cloud's stamp, got one {abs(found.lag_s):.3f} s {side} than the cloud"
+    if abs(found.lag_s) > max_age_s:
+        raise InvalidInputError(f"{said}, more than registration_max_age_s ({max_age_s:g} s)")
+    return said
 
 
 class TransformSource(Protocol):

@@ -120,12 +120,15 @@ class Condition:
         Errors of the program itself since it began.
     registration_age_s : float
         Time since the registration in use arrived, s; NaN where there is none.
+    registration : str
+        Where it comes from, as in EstimatorStatus.
     """
 
     state: str
     failure: str = ""
     faults: int = 0
     registration_age_s: float = math.nan
+    registration: str = ""
 
     def level(self, report: Report) -> tuple[bytes, str]:
         """Return level and message for monitors, of which `report` knows something only while the node is active."""
@@ -139,8 +142,8 @@ class Condition:
         return level, f"{self.state}: clouds are answered only while the node is active"
 
 
-def status_message(report: Report, setup: Setup, counts: Counts) -> EstimatorStatus:
-    """Build the message of `~/status`."""
+def status_message(report: Report, setup: Setup, counts: Counts, registration: str = "") -> EstimatorStatus:
+    """Build the message of `~/status`; `registration` is where that comes from."""
     message = EstimatorStatus()
     message.header.stamp = time_message(report.stamp_ns) if report.stamp is None else report.stamp
     message.header.frame_id = setup.frame
@@ -148,6 +151,7 @@ def status_message(report: Report, setup: Setup, counts: Counts) -> EstimatorSta
     message.reason = report.reason
     message.estimator, message.device, message.organ = setup.estimator, setup.device, setup.organ
     message.matching = report.matching
+    message.registration = registration
     message.visible_fraction = report.visible_fraction
     message.points_used = min(report.used, _LARGEST_COUNT)
     message.points_rejected = min(report.left_out, _LARGEST_COUNT)
@@ -179,6 +183,7 @@ def diagnostics_message(
         "device": setup.device,
         "organ": setup.organ,
         "matching": report.matching,
+        "registration": condition.registration,
         "frames received": counts.received,
         "frames answered": counts.answered,
         "frames dropped": counts.dropped,

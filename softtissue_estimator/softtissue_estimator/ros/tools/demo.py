@@ -32,6 +32,8 @@ SCORE_TIMEOUT_S = 60.0
 # registration.
 SCENE = {"tracks": "tracked_points", "bare": "surface_points"}
 SCENE_REMAP = ("/organ_pose_truth:=/registration",)
+# Played on request alone, with nothing said of the registration: the node finds the organ itself.
+UNREGISTERED = "bare_unregistered"
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Run:
     Attributes
     ----------
     input : str
-        What its clouds are: "pairs", or one of `SCENE`.
+        What its clouds are: "pairs", one of `SCENE`, or `UNREGISTERED`.
     estimator : str
     bag : Path
     remap : tuple of str
@@ -112,8 +114,9 @@ def parse(arguments: list[str]) -> Options:
     parser.add_argument(
         "--input",
         action="append",
-        choices=("pairs", *SCENE),
-        help="recording to play, may be repeated: clouds with correspondences, or the bundled scene"
+        choices=("pairs", *SCENE, UNREGISTERED),
+        help="recording to play, may be repeated: clouds with correspondences, or the bundled scene, unregistered"
+        " on request alone"
         " (default: all of them; with --bag or --organ pairs alone)",
     )
     given = parser.parse_args(arguments)
@@ -162,7 +165,8 @@ def play(run: Run, options: Options) -> dict[str, Any]:
         "-p",
         "organ_root:=['/']",  # whoever calls this names the organ, and may keep its meshes anywhere
     ]
-    node += [part for parameter in options.parameters for part in ("-p", parameter)]
+    source = ("registration_source:=auto",) if run.input == UNREGISTERED else ()
+    node += [part for parameter in (*source, *options.parameters) for part in ("-p", parameter)]
     score = [str(executable("score")), "--report", str(report), "--title", run.title]
     if run.snapshot_ns is not None:
         score += ["--organ", str(options.organ), "--snapshot", str(folder / "snapshot.npz")]
@@ -229,6 +233,8 @@ def run(options: Options) -> int:
         ]
     scenes = [name for name in options.inputs if name in SCENE]
     runs += [Run(name, default, bundled_scene(), SCENE_REMAP, SCENE[name]) for name in scenes]
+    if UNREGISTERED in options.inputs:
+        runs.append(Run(UNREGISTERED, default, bundled_scene()))
     played = []
     for each in runs:
         print(f"==> {each.title}: starting node, replay and score", flush=True)
@@ -257,6 +263,7 @@ def _summary(default: str, played: list[tuple[Run, dict[str, Any]]]) -> dict[str
             "tre_mm": {when: report["tre_mm"].get(when) for when in ("before", "after")},
             "latency_ms": report["latency_ms"],
             "rms_z": report["rms_z"],
+            "first_answer_s": report["first_answer_s"],
         }
         for run, report in played
     ]

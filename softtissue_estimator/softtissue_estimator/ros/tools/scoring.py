@@ -10,6 +10,7 @@ FloatArray = NDArray[np.float64]
 
 # A frame says something about the target registration error only while the markers have moved.
 DISPLACED_M = 0.005
+_LATE_S = 1.0  # a first answer that is later is said in the table
 
 
 @dataclass
@@ -89,6 +90,14 @@ def latency_ms(record: Record) -> dict[str, float]:
     }
 
 
+def first_answer_s(record: Record) -> float | None:
+    """Return the time from publishing the first cloud to receiving the first answer, s; None without any."""
+    both = record.sent_ns.keys() & record.answered_ns.keys()
+    if not both:
+        return None
+    return 1e-9 * (min(record.answered_ns[stamp] for stamp in both) - min(record.sent_ns.values()))
+
+
 def stages_ms(record: Record) -> dict[str, dict[str, float]]:
     """Return p50 and p95 of every stage of the node's work on a cloud, ms; stages within a stage have a slash."""
     return {
@@ -156,6 +165,7 @@ def make_report(record: Record) -> dict[str, Any]:
             "unaccounted": record.unaccounted,
         },
         "latency_ms": latency_ms(record),
+        "first_answer_s": first_answer_s(record),
         "stages_ms": stages_ms(record),
         "tre_mm": target_registration_error_mm(record),
         "rms_z": root_mean_square_z(record),
@@ -194,6 +204,9 @@ def table(report: dict[str, Any], title: str) -> str:
             f"  latency  p50 {latency['p50']:.1f} ms   p95 {latency['p95']:.1f} ms   max {latency['max']:.1f} ms"
             "   (cloud published to answer received)"
         )
+    first_s = report["first_answer_s"]
+    if first_s is not None and first_s > _LATE_S:
+        lines.append(f"  first answer {first_s:.1f} s after the first cloud")
     lines += _stage_lines(report["stages_ms"])
     if "after" in errors:
         lines.append(
