@@ -28,6 +28,7 @@ from ros_domain import reserved
 from softtissue_estimator.ros.tools.bag import Bag
 from softtissue_estimator.support.resources import bundled_organ, bundled_scene
 
+STEP_S = 60.0  # within which a cloud is answered however busy the machine is
 SETTLE_S = 3.0  # after the last cloud, within which what is late is still heard
 
 
@@ -81,8 +82,13 @@ def scene_messages() -> list[tuple[float, str, object]]:
         ]
 
 
-def run(source: str, begin_s: float, end_s: float, folder: Path, last_s: float = 10.0) -> Figures:
-    """Play the scene to a node; its clouds are without the organ from `begin_s` to `end_s`."""
+def run(
+    source: str, begin_s: float, end_s: float, folder: Path, last_s: float = 10.0, *, step: bool = False
+) -> Figures:
+    """Play the scene to a node; its clouds are without the organ from `begin_s` to `end_s`.
+
+    With `step` each cloud waits for the status of the one before, so that a busy machine changes nothing.
+    """
     messages = [message for message in scene_messages() if message[0] <= last_s]
     labels = {
         nanoseconds(m.header.stamp): np.frombuffer(bytes(m.data), dtype=np.uint8)[:: m.point_step]
@@ -109,12 +115,15 @@ def run(source: str, begin_s: float, end_s: float, folder: Path, last_s: float =
         for at_s, topic, message in messages:
             if topic not in publishers:
                 continue
-            client.spin(max(0.0, began + at_s - time.monotonic()))
+            client.spin(0.01 if step else max(0.0, began + at_s - time.monotonic()))
             if topic == "/surface_points" and begin_s <= at_s < end_s:
                 without.append(nanoseconds(message.header.stamp))
                 message = without_organ(message, labels[without[-1]])
+            said = len(statuses)
             publishers[topic].publish(message)
-        client.spin(SETTLE_S)
+            if step and topic == "/surface_points":
+                client.wait(lambda said=said: len(statuses) > said, "status of a cloud", STEP_S)
+        client.spin(0.0 if step else SETTLE_S)
     clouds = [nanoseconds(m.header.stamp) for _, topic, m in messages if topic == "/surface_points"]
     return figures(statuses, clouds, without)
 

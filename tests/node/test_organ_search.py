@@ -56,6 +56,7 @@ class Node:
             self.registration,
             lambda: config,
             lambda _where, error: str(error),
+            lambda _said: None,
             SimpleNamespace(find=self._find),
         )
         self.search.begin(ORGAN)

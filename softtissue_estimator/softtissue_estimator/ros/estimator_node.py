@@ -93,7 +93,11 @@ class EstimatorNode(ManagedNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
         self._poses = PoseProcess()
         self._search = OrganSearch(
-            self._registration, lambda: self._config, self.boundary.sentence, self._poses
+            self._registration,
+            lambda: self._config,
+            self.boundary.sentence,
+            self.boundary.info,
+            self._poses,
         )
         self._responder = Responder(
             outputs, self._counters, self._registration, lambda: self._config, self._search

@@ -46,6 +46,8 @@ class OrganSearch:
         Returns the configuration as it is now.
     explain : callable
         Takes what was being done and an exception, and returns a sentence.
+    say : callable
+        Takes what was found, in a sentence.
     poses : PoseProcess
         Searches.
     """
@@ -55,10 +57,11 @@ class OrganSearch:
         registration: Registration,
         config: Callable[[], EstimatorConfig],
         explain: Callable[[str, BaseException], str],
+        say: Callable[[str], None],
         poses: PoseProcess,
     ) -> None:
         self._registration, self._config = registration, config
-        self._explain, self._poses = explain, poses
+        self._explain, self._say, self._poses = explain, say, poses
         self._lock = threading.Lock()
         self._worker: LatestWorker[_Task] | None = None
         self._task: _Task | None = None
@@ -148,6 +151,7 @@ class OrganSearch:
         if task.frame is None:
             self._poses.prepare(task.organ.surface)
             return
+        began_s = time.monotonic()
         try:
             place, found = self._found(task, task.frame.cloud)
         except Exception as error:  # whatever it is, the next cloud begins another search
@@ -156,6 +160,7 @@ class OrganSearch:
                 if self._task is task:
                     self._task, self._said = None, said
             return
+        self._say(f"searched a cloud for the organ for {time.monotonic() - began_s:.1f} s: {found.message}")
         registration = place.registration(found, task.organ)
         with self._lock:
             if self._task is not task:
