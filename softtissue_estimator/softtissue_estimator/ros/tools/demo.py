@@ -28,12 +28,15 @@ from softtissue_estimator.support.resources import (
 # Preparing an organ for the first time takes up to minutes on a busy machine; afterwards it is cached.
 START_TIMEOUT_S = 300
 SCORE_TIMEOUT_S = 60.0
-# Kinds of clouds that the bundled scene shows, by the topics that hold them; the organ's true pose in the room is the
-# registration.
-SCENE = {"tracks": "tracked_points", "bare": "surface_points"}
-SCENE_REMAP = ("/organ_pose_truth:=/registration",)
-# Played on request alone, with nothing said of the registration: the node finds the organ itself.
+TRUE_POSE = ("/organ_pose_truth:=/registration",)
 UNREGISTERED = "bare_unregistered"
+# Kinds of clouds that the bundled scene shows: names under which its topics are heard, and which one holds the clouds.
+# Where nothing is said of the registration the node finds the organ itself; that is played on request alone.
+SCENE = {
+    "tracks": (TRUE_POSE, "tracked_points"),
+    "bare": (TRUE_POSE, "surface_points"),
+    UNREGISTERED: ((), "surface_points"),
+}
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ class Run:
     Attributes
     ----------
     input : str
-        What its clouds are: "pairs", one of `SCENE`, or `UNREGISTERED`.
+        What its clouds are: "pairs", or one of `SCENE`.
     estimator : str
     bag : Path
     remap : tuple of str
@@ -114,15 +117,15 @@ def parse(arguments: list[str]) -> Options:
     parser.add_argument(
         "--input",
         action="append",
-        choices=("pairs", *SCENE, UNREGISTERED),
-        help="recording to play, may be repeated: clouds with correspondences, or the bundled scene, unregistered"
-        " on request alone"
-        " (default: all of them; with --bag or --organ pairs alone)",
+        choices=("pairs", *SCENE),
+        help="recording to play, may be repeated: clouds with correspondences, or the bundled scene (default: all but"
+        f" {UNREGISTERED}; with --bag or --organ pairs alone)",
     )
     given = parser.parse_args(arguments)
     own = given.bag is not None or given.organ is not None
+    scenes = () if own else tuple(name for name in SCENE if name != UNREGISTERED)
     return Options(
-        inputs=tuple(dict.fromkeys(given.input or ("pairs", *(() if own else SCENE)))),
+        inputs=tuple(dict.fromkeys(given.input or ("pairs", *scenes))),
         bag=given.bag or bundled_bag(),
         organ=given.organ or bundled_organ(),
         estimators=tuple(given.estimator or available_estimators()),
@@ -228,13 +231,9 @@ def run(options: Options) -> int:
     default, recording, runs = options.estimators[0], None, []
     if "pairs" in options.inputs:
         recording = read_recording(options.bag, read_organ_file(options.organ).frame)
-        runs += [
-            Run("pairs", name, options.bag, snapshot_ns=recording.peak_ns) for name in options.estimators
-        ]
-    scenes = [name for name in options.inputs if name in SCENE]
-    runs += [Run(name, default, bundled_scene(), SCENE_REMAP, SCENE[name]) for name in scenes]
-    if UNREGISTERED in options.inputs:
-        runs.append(Run(UNREGISTERED, default, bundled_scene()))
+        peak_ns = recording.peak_ns
+        runs += [Run("pairs", name, options.bag, snapshot_ns=peak_ns) for name in options.estimators]
+    runs += [Run(name, default, bundled_scene(), *SCENE[name]) for name in options.inputs if name in SCENE]
     played = []
     for each in runs:
         print(f"==> {each.title}: starting node, replay and score", flush=True)
