@@ -16,6 +16,7 @@ from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, SoftTissueError
 from softtissue_estimator.organ.organ_file import read_organ_file
 from softtissue_estimator.ros.tools.demo_picture import draw, read_recording
+from softtissue_estimator.ros.tools.demo_runs import SCENE, UNREGISTERED, Run
 from softtissue_estimator.ros.tools.processes import executable, process, relay
 from softtissue_estimator.ros.tools.scoring import failures, table
 from softtissue_estimator.support.resources import (
@@ -28,15 +29,6 @@ from softtissue_estimator.support.resources import (
 # Preparing an organ for the first time takes up to minutes on a busy machine; afterwards it is cached.
 START_TIMEOUT_S = 300
 SCORE_TIMEOUT_S = 60.0
-TRUE_POSE = ("/organ_pose_truth:=/registration",)
-UNREGISTERED = "bare_unregistered"
-# Kinds of clouds that the bundled scene shows: names under which its topics are heard, and which one holds the clouds.
-# Where nothing is said of the registration the node finds the organ itself; that is played on request alone.
-SCENE = {
-    "tracks": (TRUE_POSE, "tracked_points"),
-    "bare": (TRUE_POSE, "surface_points"),
-    UNREGISTERED: ((), "surface_points"),
-}
 
 
 @dataclass(frozen=True)
@@ -50,49 +42,6 @@ class Options:
     out: Path
     parameters: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ("pairs",)
-
-
-@dataclass(frozen=True)
-class Run:
-    """One recording, played to a node with one estimator.
-
-    Attributes
-    ----------
-    input : str
-        What its clouds are: "pairs", or one of `SCENE`.
-    estimator : str
-    bag : Path
-    remap : tuple of str
-        Names of topics, as ROS takes them.
-    clouds : str
-        Topic of the bag that is played as `surface_points`.
-    snapshot_ns : int or None
-        Stamp of the frame that is kept for the picture.
-    """
-
-    input: str
-    estimator: str
-    bag: Path
-    remap: tuple[str, ...] = ()
-    clouds: str = "surface_points"
-    snapshot_ns: int | None = None
-
-    @property
-    def folder(self) -> str:
-        """Name of the folder of its results."""
-        return self.estimator if self.input == "pairs" else f"{self.input}-{self.estimator}"
-
-    @property
-    def played_as(self) -> tuple[str, ...]:
-        """Names of topics for the replay."""
-        if self.clouds == "surface_points":
-            return self.remap
-        return (*self.remap, "/surface_points:=/other_points", f"/{self.clouds}:=/surface_points")
-
-    @property
-    def title(self) -> str:
-        """What its table is headed with."""
-        return f"{self.input}: estimator {self.estimator}"
 
 
 def parse(arguments: list[str]) -> Options:
