@@ -68,10 +68,8 @@ class ElasticTracker:
         self._known = Known()
         self._innovations = Innovations()
         self._pending: tuple[Task, Future[tuple[Posterior, WarmStart]]] | None = None
-        self._stamp_s, self._frames = (
-            0.0,
-            0,
-        )  # of the newest observation; since the thread was given something
+        self._stamp_s = 0.0  # of the newest observation
+        self._frames = 0  # since the thread was given something
         self._closed = False
         # Threads of an executor are waited for when the interpreter ends: torch aborts where one is cut off.
         self._executor = ThreadPoolExecutor(1, "tracker", _step_back)
