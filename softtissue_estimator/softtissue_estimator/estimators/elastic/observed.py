@@ -118,6 +118,8 @@ class Observed(Protocol):
         One where the patch belongs to the organ, else zero.
     components : int
         That are observed of each patch: 3, or 1 along the normal.
+    equations : int
+        How many numbers were observed in all.
     nodes : (s,) int64
         That the patches lie between.
     """
@@ -125,6 +127,7 @@ class Observed(Protocol):
     precision: FloatArray
     counts: FloatArray
     components: int
+    equations: int
     nodes: Tensor
 
     @property

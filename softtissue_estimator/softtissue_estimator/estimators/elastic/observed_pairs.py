@@ -41,6 +41,7 @@ class ObservedPairs:
         self._positions = patches.reference + patches.displacement
         self.precision, self.nodes = patches.precision, self._places.nodes
         self.counts = np.ones(len(patches.precision))
+        self.equations = 3 * len(patches.precision)
 
     @property
     def reference(self) -> FloatArray:

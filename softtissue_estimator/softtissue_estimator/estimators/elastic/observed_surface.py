@@ -135,6 +135,7 @@ class ObservedSurface:
             self.counts = np.concatenate([self.counts, np.zeros(len(along.counted))])
         self.rows, self.precision = rows, rows.precision
         self._used = np.flatnonzero(rows.counted)
+        self.equations = len(self._used)
         self.nodes = torch.from_numpy(np.unique(rows.nodes[self._used])).to(mean.device)
 
     @property

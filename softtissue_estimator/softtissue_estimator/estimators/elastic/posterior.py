@@ -69,8 +69,7 @@ class Posterior:
     @property
     def surprise(self) -> float:
         """Root mean square of what is observed over the standard deviation with the variances that it began with."""
-        count = self.observed.components * float(self.observed.counts.sum())
-        return math.sqrt(max(self.amplitudes.surprise, 0.0) / count)
+        return math.sqrt(max(self.amplitudes.surprise, 0.0) / self.observed.equations)
 
     @property
     def registration_after(self) -> RegistrationError:

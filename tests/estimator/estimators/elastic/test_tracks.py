@@ -164,7 +164,7 @@ def test_a_track_makes_two_equations_along_the_surface_and_none_across(model):
     shift = np.tile([0.001, 0.002, 0.003], (len(FEW), 1))
     tracks = ObservedPatches(FEW, shift, np.full(len(FEW), 1e6))
     exact = told_error(ORGAN.centre, np.zeros((6, 6)))
-    rows = tangent_rows(tracks, points, normal, rest, exact, 0.006)
+    rows = tangent_rows(tracks, points, normal, rest, exact.correction, 0.006)
     np.testing.assert_allclose(
         np.einsum("cd,cd->c", rows.direction, np.tile(normal, (2, 1))), 0.0, atol=1e-12
     )
@@ -173,7 +173,7 @@ def test_a_track_makes_two_equations_along_the_surface_and_none_across(model):
     both = np.einsum("kc,kcd->cd", told, rows.direction.reshape(2, -1, 3))
     np.testing.assert_allclose(both, along, atol=1e-12)
     assert rows.counted.all()
-    assert not tangent_rows(tracks, points, normal, rest, exact, 0.0001).counted.any()
+    assert not tangent_rows(tracks, points, normal, rest, exact.correction, 0.0001).counted.any()
 
 
 def test_rows_of_tracks_have_no_part_in_what_is_left_unexplained(model):
