@@ -76,6 +76,25 @@ def disbelief(posterior: Posterior, unexplained: float, shown: Shown) -> str:
     return ""
 
 
+@dataclass(frozen=True)
+class Troubles:
+    """What a stream of observations has shown until now.
+
+    Attributes
+    ----------
+    lost : bool
+        Whether the organ could not be followed to where it is seen.
+    surprised : bool
+        Whether what is seen has not been as expected for some time.
+    registration_moved : bool
+        Whether the registration has moved since it was learnt.
+    """
+
+    lost: bool = False
+    surprised: bool = False
+    registration_moved: bool = False
+
+
 def doubts(
     posterior: Posterior,
     observed: FloatArray,
@@ -83,8 +102,7 @@ def doubts(
     registration: RegistrationEstimate,
     expected: RegistrationError,
     outlier_share: float,
-    lost: bool,
-    surprised: bool,
+    troubles: Troubles,
 ) -> tuple[str, ...]:
     """Return why an answer must not be relied on, a sentence each.
 
@@ -100,19 +118,16 @@ def doubts(
         What is supposed of a registration at worst.
     outlier_share : float
         Of the points, 0 to 1.
-    lost : bool
-        Whether the organ could not be followed to where it is seen.
-    surprised : bool
-        Whether what is seen has not been as expected for some time.
+    troubles : Troubles
     """
     found: list[str] = []
     if outlier_share > MOST_OUTLIERS:
         found.append(
             f"observation: expected one continuous surface, got {100.0 * outlier_share:.0f} % of the points torn off it"
         )
-    if lost:
+    if troubles.lost:
         found.append("observation: expected the organ near where it was, got one that was answered anew")
-    if surprised:
+    if troubles.surprised:
         found.append(
             "observation: expected about what the answers before let expect, got"
             f" {posterior.innovation:.1f} times its standard deviation, and that for a second"
@@ -126,7 +141,7 @@ def doubts(
         found.append(
             f"observation: expected neighbouring points to agree, got errors of {1e3 * shared:.1f} mm that they share"
         )
-    found += _registration_doubts(registration, expected)
+    found += _registration_doubts(registration, expected, troubles.registration_moved)
     if not posterior.plausible:
         found.append("estimate: expected tissue that holds together, got elements that are torn or inverted")
     if is_implausible_displacement(posterior.mean, observed):
@@ -134,10 +149,12 @@ def doubts(
     return tuple(found)
 
 
-def _registration_doubts(found: RegistrationEstimate, expected: RegistrationError) -> list[str]:
-    if float(np.square(np.linalg.solve(expected.root, found.step)).sum()) <= MOST_SQUARED_ERRORS:
+def _registration_doubts(found: RegistrationEstimate, expected: RegistrationError, moved: bool) -> list[str]:
+    wrong = float(np.square(np.linalg.solve(expected.root, found.step)).sum()) > MOST_SQUARED_ERRORS
+    if not (wrong or moved):
         return []
     return [
-        f"registration: expected one that is nearly right, got one off by {1e3 * found.translation_m:.0f} mm"
-        f" and {np.degrees(found.rotation_rad):.0f} degrees"
+        f"registration: expected one that {'is nearly right' if wrong else 'stays what it is'}, got one off by"
+        f" {1e3 * found.translation_m:.0f} mm and {np.degrees(found.rotation_rad):.0f} degrees"
+        f"{'' if wrong else ' by now'}"
     ]

@@ -9,7 +9,7 @@ from threadpoolctl import ThreadpoolController
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, OrganNotFoundError, SoftTissueError
 from softtissue_estimator.estimators.diagnosis import Diagnosis, RegistrationEstimate
-from softtissue_estimator.estimators.elastic.doubts import doubts
+from softtissue_estimator.estimators.elastic.doubts import Troubles, doubts
 from softtissue_estimator.estimators.elastic.memory import Known, reason_for_disbelief
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
 from softtissue_estimator.estimators.elastic.observed import Matchable, Observed
@@ -267,23 +267,10 @@ class ElasticEstimator(Estimator):
         # What moves an organ that is attached nowhere is not told from an error of the registration.
         known = expected if isinstance(posterior.registration, OwnMotion) else posterior.registration_after
         found = RegistrationEstimate(known.centre, known.correction, known.root @ known.root.T)
-        tracker = self._tracker
-        lost, surprised = (False, False) if tracker is None else (tracker.lost, tracker.surprised)
-        return Diagnosis(
-            found,
-            outliers,
-            posterior.innovation,
-            doubts=doubts(
-                posterior,
-                posterior.observed.displacement,
-                unexplained,
-                found,
-                expected,
-                outliers,
-                lost,
-                surprised,
-            ),
-        )
+        troubles = Troubles() if self._tracker is None else self._tracker.troubles
+        observed = posterior.observed.displacement
+        reasons = doubts(posterior, observed, unexplained, found, expected, outliers, troubles)
+        return Diagnosis(found, outliers, posterior.innovation, reasons)
 
 
 def _alone(solver: Solver) -> Posterior:

@@ -32,13 +32,15 @@ class RegistrationFilter:
     expected : RegistrationError
     supposed : RegistrationError
         What is known before the next frame.
+    moved : bool
+        Whether a frame showed that the registration has moved since it was learnt.
     """
 
     def __init__(self, expected: RegistrationError) -> None:
         self.expected = expected
         # Most are exact; the first frame that is explained with all loads tells whether this one is.
         self.supposed = expected.scaled(expected.scales[0])
-        self._observed = False
+        self._observed = self.moved = False
 
     @property
     def scales(self) -> tuple[float, ...]:
@@ -62,6 +64,7 @@ class RegistrationFilter:
         """
         if isinstance(self.supposed, OwnMotion):
             return
+        self.moved |= self._observed and not np.array_equal(posterior.registration.root, self.supposed.root)
         precision = np.linalg.inv(posterior.nuisance_covariance)
         share = _NEW_SHARE if self._observed else 1.0
         self._observed = True

@@ -15,6 +15,7 @@ from dataclasses import replace
 import torch
 
 from softtissue_estimator.errors import OrganNotFoundError
+from softtissue_estimator.estimators.elastic.doubts import Troubles
 from softtissue_estimator.estimators.elastic.improvement import Task, improve
 from softtissue_estimator.estimators.elastic.innovations import Innovations
 from softtissue_estimator.estimators.elastic.memory import (
@@ -94,9 +95,12 @@ class ElasticTracker:
             return self._known.memory.rigid and self._known.memory.ratio is not None
 
     @property
-    def surprised(self) -> bool:
-        """Whether what was observed has not been as expected for some time."""
-        return self._innovations.surprising
+    def troubles(self) -> Troubles:
+        """What the stream has shown until now."""
+        lost = self.lost
+        with self._lock:
+            known = self._known.registration
+            return Troubles(lost, self._innovations.surprising, known is not None and known.moved)
 
     def catch_up(self, stamp_s: float | None) -> None:
         """Take over what the thread has made, as of an observation that is to be answered next.

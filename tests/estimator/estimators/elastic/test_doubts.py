@@ -8,7 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.estimators.diagnosis import RegistrationEstimate
-from softtissue_estimator.estimators.elastic.doubts import Shown, disbelief, doubts
+from softtissue_estimator.estimators.elastic.doubts import Shown, Troubles, disbelief, doubts
 from softtissue_estimator.estimators.elastic.registration_error import expected_error
 from softtissue_estimator.observation.rigid import RigidMotion
 
@@ -24,6 +24,7 @@ WELL = {
     "outliers": 0.2,
     "lost": False,
     "surprised": False,
+    "moved": False,
 }
 
 
@@ -49,8 +50,7 @@ def said(**wrong):
         registration,
         expected,
         found["outliers"],
-        found["lost"],
-        found["surprised"],
+        Troubles(found["lost"], found["surprised"], found["moved"]),
     )
 
 
@@ -63,6 +63,7 @@ def test_nothing_is_said_where_all_is_well():
     [
         ({"outliers": 0.3}, "30 % of the points torn off"),
         ({"lost": True}, "answered anew"),
+        ({"moved": True}, "stays what it is, got one off by 8 mm and 5 degrees by now"),
         ({"surprised": True}, "1.4 times its standard deviation, and that for a second"),
         ({"unexplained_m": 0.0021}, "2.1 mm that no load explains"),
         ({"field_m": 0.0019}, "errors of 1.9 mm that they share"),

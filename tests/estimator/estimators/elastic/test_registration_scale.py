@@ -8,6 +8,7 @@ from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
 from softtissue_estimator.estimators.elastic.observed_pairs import ObservedPairs
 from softtissue_estimator.estimators.elastic.registration_error import expected_error, told_error
+from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
 from softtissue_estimator.estimators.elastic.registration_scale import DRIFT_SHARE, drifted
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.observation.observation import Observation
@@ -51,6 +52,20 @@ def test_a_registration_that_drifted_is_doubted(model):
         for found in (posterior, wider)
     ]
     assert left[1] < 0.6 * left[0]
+
+
+def test_a_stream_remembers_that_its_registration_moved(model):
+    solver, posterior = explained(model, DRIFT)
+    known = RegistrationFilter(posterior.registration)
+    known.supposed = posterior.registration
+    known.observe(posterior)
+    assert not known.moved  # the first frame only says what it is
+    supposed = known.supposed
+    known.observe(solver.improve(posterior, guarded=True, registration=supposed))
+    assert not known.moved
+    again = solver.improve(posterior, guarded=True, registration=known.supposed)
+    known.observe(solver.afresh(again, known.supposed.widened(EXPECTED.scaled(DRIFT_SHARE))))
+    assert known.moved
 
 
 @pytest.mark.parametrize("drift", [np.zeros(3), 0.03 * DRIFT], ids=["exact", "as exact as told"])
