@@ -5,7 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from softtissue_estimator.estimators.diagnosis import RegistrationEstimate
-from softtissue_estimator.estimators.elastic.plausibility import is_implausible_displacement
+from softtissue_estimator.estimators.elastic.plausibility import (
+    MOST_DISPLACEMENT_RATIO,
+    is_implausible_displacement,
+)
 from softtissue_estimator.estimators.elastic.posterior import Posterior
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.solver import LOST_TRACK_MISFIT_M
@@ -144,7 +147,7 @@ def doubts(
     found += _registration_doubts(registration, expected, troubles.registration_moved)
     if not posterior.plausible:
         found.append("estimate: expected tissue that holds together, got elements that are torn or inverted")
-    if is_implausible_displacement(posterior.mean, observed):
+    if is_implausible_displacement(posterior.mean, observed, MOST_DISPLACEMENT_RATIO):
         found.append("estimate: expected hidden parts to move like what is seen, got some that move far more")
     return tuple(found)
 

@@ -18,6 +18,7 @@ from softtissue_training.evaluation.methods import parse_methods
 from softtissue_training.evaluation.streams.conditions import CONDITIONS
 from softtissue_training.evaluation.streams.earlier import FIGURES
 from softtissue_training.evaluation.streams.instances import instances
+from softtissue_training.evaluation.streams.markdown import markdown
 from softtissue_training.evaluation.streams.plan import StreamPlan, organ_name
 from softtissue_training.evaluation.streams.run import run_streams
 from softtissue_training.simulation.reserved_seeds import FIRST_RESERVED_SEED
@@ -72,6 +73,16 @@ def test_every_condition_is_counted_from_the_streams(finished):
     rigid = summary(out)["common_frames"]["rigid"]["registration_10"]["errors"]
     assert f"{rigid['mean_mm']:.1f} / {rigid['p95_mm']:.1f} / {rigid['max_mm']:.1f} |" in text
     assert rigid["mean_mm"] > 10.0
+
+
+def test_what_an_estimator_with_a_history_does_in_every_frame_is_reported(finished):
+    found = summary(finished[0])
+    row = found["common_frames"]["rigid"]["exact"] | {"over_exact": 1.0, "degraded": 0.25}
+    rows, errors = {"exact": row}, row["errors"]
+    text = markdown(found | {"all_frames": {"followed": rows}})
+    spread = f"{errors['mean_mm']:.1f} / {errors['p95_mm']:.1f} / {errors['max_mm']:.1f}"
+    assert "## followed, every frame\n\n| condition | mean / 95 % / max, mm |" in text
+    assert f"| `exact` | {spread} | 1.0 |" in text and "| 25.0% |" in text
 
 
 def test_what_it_was_measured_on_is_said(finished):

@@ -103,7 +103,7 @@ def _every_frame(rows: Summary) -> str:
 
 
 def _cells(row: Summary) -> list[str]:
-    spread = [spread(row[what]) for what in ("errors", "far_errors")]
+    everywhere, far = (spread(row[what]) for what in ("errors", "far_errors"))
     found = row["calibration"]
     calibration = ["-"] * 6
     if found is not None:
@@ -117,9 +117,9 @@ def _cells(row: Summary) -> list[str]:
         ]
     ratio = row["over_exact"]
     return [
-        spread[0],
+        everywhere,
         "-" if ratio is None else f"{ratio:.1f}",
-        spread[1],
+        far,
         *calibration,
         f"{row['answered']:.1%}",
         "not said" if row["degraded"] is None else f"{row['degraded']:.1%}",
