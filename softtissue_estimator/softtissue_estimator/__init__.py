@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         MeshError,
         MissingDependencyError,
         OrganError,
+        OrganNotFoundError,
         SoftTissueError,
     )
     from softtissue_estimator.estimators.estimator import (
@@ -42,6 +43,7 @@ __all__ = [
     "Observation",
     "Organ",
     "OrganError",
+    "OrganNotFoundError",
     "SoftTissueError",
     "StoredMesh",
     "Structure",
@@ -66,6 +68,7 @@ _NAMES_OF_MODULES = {
         "MeshError",
         "MissingDependencyError",
         "OrganError",
+        "OrganNotFoundError",
         "SoftTissueError",
     ),
     "estimators.estimator": (

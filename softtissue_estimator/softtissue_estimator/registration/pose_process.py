@@ -128,7 +128,8 @@ class PoseProcess:
         source, target = self._folder / "question.npz", self._folder / "answer.npz"
         np.savez(source, **question, allow_pickle=False)
         stdin, stdout = child.stdin, child.stdout
-        if stdin is None or stdout is None:
+        # One that is known to have ended is not written to: where SIGPIPE is not ignored that would end this one, too.
+        if stdin is None or stdout is None or child.poll() is not None:
             return None
         try:
             os.write(stdin.fileno(), f"{source}\t{target}\n".encode())
