@@ -81,33 +81,17 @@ def run_contained(
     SoftTissueError
         If this program is ending.
     """
-    command = [sys.executable, "-P", str(_CONTAINED), str(os.getpid()), *program]
     # Files, not pipes: what the program has started may keep those open after its end.
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        with _lock:
-            if _ending:
-                raise SoftTissueError("expected a program that goes on, got one that ends")
-            child = subprocess.Popen(
-                command,
-                cwd=folder,
-                env=dict(environment),
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=err,
-                start_new_session=True,  # a Ctrl-C is this program's business
-            )
-            _children.add(child)
+        child = _begun(program, folder, environment, subprocess.DEVNULL, out, err)
         try:
             if say is None:
                 child.wait(timeout_s)
             else:
                 _wait_telling(child, out, timeout_s, say)
         finally:
-            _kill(child)
-            child.wait()
-            with _lock:
-                _children.discard(child)
-        return subprocess.CompletedProcess(command, child.returncode, _end_of(out), _end_of(err))
+            _end(child)
+        return subprocess.CompletedProcess(child.args, child.returncode, _end_of(out), _end_of(err))
 
 
 @contextlib.contextmanager
@@ -128,6 +112,25 @@ def contained(
     SoftTissueError
         If this program is ending.
     """
+    child = _begun(program, folder, environment, subprocess.PIPE, subprocess.PIPE, errors)
+    try:
+        yield child
+    finally:
+        _end(child)
+        for pipe in (child.stdin, child.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()
+
+
+def _begun(
+    program: Sequence[str],
+    folder: Path,
+    environment: Mapping[str, str],
+    stdin: int,
+    stdout: int | IO[bytes],
+    stderr: IO[bytes],
+) -> "subprocess.Popen[bytes]":
     command = [sys.executable, "-P", str(_CONTAINED), str(os.getpid()), *program]
     with _lock:
         if _ending:
@@ -136,23 +139,20 @@ def contained(
             command,
             cwd=folder,
             env=dict(environment),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=errors,
-            start_new_session=True,
+            stdin=stdin,
+            stdout=stdout,
+            stderr=stderr,
+            start_new_session=True,  # a Ctrl-C is this program's business
         )
         _children.add(child)
-    try:
-        yield child
-    finally:
-        _kill(child)
-        child.wait()
-        for pipe in (child.stdin, child.stdout):
-            if pipe is not None:
-                with contextlib.suppress(OSError):
-                    pipe.close()
-        with _lock:
-            _children.discard(child)
+    return child
+
+
+def _end(child: "subprocess.Popen[bytes]") -> None:
+    _kill(child)
+    child.wait()
+    with _lock:
+        _children.discard(child)
 
 
 def child_environment(*, one_thread: bool = False, folder: Path | None = None) -> dict[str, str]:

@@ -28,13 +28,13 @@ from softtissue_estimator.estimators.elastic.tracks import Tracks
 from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progress, silent
 from softtissue_estimator.inference.device import choose_device, device_stopwatch, one_thread
 from softtissue_estimator.inference.stopwatch import Stopwatch
-from softtissue_estimator.observation.bare_cloud import BareCloud
+from softtissue_estimator.observation.bare_cloud import NO_TRACK, BareCloud
 from softtissue_estimator.observation.consensus import continuous
 from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.observation.patch_average import average_patches, fit_patches
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.observation.seen_surface import seen_surface
-from softtissue_estimator.organ.mesh import FloatArray
+from softtissue_estimator.organ.mesh import BoolArray, FloatArray
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
@@ -197,7 +197,7 @@ class ElasticEstimator(Estimator):
         if self._tracker is not None:
             known = self._tracker.registration(registration)
             # Pairs say themselves where the organ is.
-            registration = registration if free and motion is not IDENTITY else known
+            registration = registration if free and seen.identified else known
         config = self._config
         about = IDENTITY if free else motion
         solver = Solver(model, seen, about, registration, config.prior_sigma_m, config.model_sigma_m)
@@ -218,21 +218,26 @@ class ElasticEstimator(Estimator):
         )
         watch.lap("warp")
         if isinstance(observation, BareCloud) and observation.track is not None:
-            self._learn(tracks, observation, posterior, estimate)
+            self._learn(tracks, observation, observation.track != NO_TRACK, posterior, estimate)
             watch.lap("tracks")
         return estimate
 
     def _learn(
-        self, tracks: Tracks, cloud: BareCloud, posterior: Posterior, estimate: ElasticEstimate
+        self,
+        tracks: Tracks,
+        cloud: BareCloud,
+        followed: BoolArray,
+        posterior: Posterior,
+        estimate: ElasticEstimate,
     ) -> None:
-        """Remember where the tracks of a cloud are, if its answer can be believed."""
+        """Remember where those points of a cloud are that are followed, (n,), if its answer can be believed."""
         tracker, observed = self._tracker, posterior.observed
         if tracker is None or not isinstance(observed, ObservedSurface):
             return
         if tracker.lost:
             self._tracks = Tracks(self._config.track_slide_m_s)
         elif not estimate.diagnosis.doubts:
-            reference = observed.material(cloud.points, posterior)
+            reference = observed.material(cloud.points, followed, posterior)
             there, sigma = np.isfinite(reference).all(axis=1), np.full(len(reference), np.nan)
             interpolation = self._loaded("estimate").surface_interpolation(reference[there])
             sigma[there] = estimate.interpolated(reference[there], interpolation)[1]

@@ -19,8 +19,6 @@ from softtissue_estimator.estimators.elastic.registration_filter import Registra
 from softtissue_estimator.estimators.elastic.solver import Solver
 
 _NEW_SHARE = 0.1  # of a frame, in how much is expected to be seen
-
-
 _CANDIDATE_STEPS = 8  # of the thread, after which what was not the organ until then is not followed any more
 
 

@@ -27,7 +27,7 @@ from softtissue_estimator.estimators.elastic.smooth_error import field_columns
 from softtissue_estimator.estimators.elastic.surface_rows import normal_rows, tangent_rows
 from softtissue_estimator.observation.patch_average import ObservedPatches
 from softtissue_estimator.observation.seen_surface import SeenSurface
-from softtissue_estimator.organ.mesh import FloatArray
+from softtissue_estimator.organ.mesh import BoolArray, FloatArray
 
 SURFACE_SCALES = 0.3, 1.0
 """Sizes that the registration's error may have, over the largest that is expected: distances along the normals tell too
@@ -152,10 +152,11 @@ class ObservedSurface:
         """Return what a posterior leaves of each patch, (c, 3) m."""
         return self._left(explained.registration, explained.mean, explained.amplitudes)
 
-    def material(self, points: FloatArray, explained: Explained) -> FloatArray:
+    def material(self, points: FloatArray, wanted: BoolArray, explained: Explained) -> FloatArray:
         """Say which points of the preoperative surface those of the cloud are, (n, 3) m, as a posterior has it.
 
-        NaN for those in pieces that do not count, beside the organ or where it has collapsed.
+        NaN for those that nobody wants to know, (n,), in pieces that do not count, beside the organ or where it has
+        collapsed.
 
         Parameters
         ----------
@@ -166,7 +167,7 @@ class ObservedSurface:
         found = explained.registration.moved_by(explained.registration_step)
         corrected, normals = found.correction.apply(points), found.correction.turn(seen.normal)
         counted = self.rows.counted[: len(normals)]
-        shown = (seen.piece >= 0) & counted[seen.piece]
+        shown = wanted & (seen.piece >= 0) & counted[seen.piece]
         pairs = surface.closest(mean, corrected[shown], normals[seen.piece[shown]], oriented=seen.oriented)
         places = np.full(points.shape, np.nan)
         places[shown] = surface.material(pairs, mean, corrected[shown])
