@@ -145,6 +145,8 @@ def doubts(
             f"observation: expected neighbouring points to agree, got errors of {1e3 * shared:.1f} mm that they share"
         )
     found += _registration_doubts(registration, expected, troubles.registration_moved)
+    if posterior.attachment_moves:
+        found.append("organ: expected what holds it to stay where it is, got an attachment that moves")
     if not posterior.plausible:
         found.append("estimate: expected tissue that holds together, got elements that are torn or inverted")
     if is_implausible_displacement(posterior.mean, observed, MOST_DISPLACEMENT_RATIO):

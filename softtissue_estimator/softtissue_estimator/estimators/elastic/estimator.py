@@ -22,6 +22,7 @@ from softtissue_estimator.estimators.elastic.registration_error import (
     own_motion,
     told_error,
 )
+from softtissue_estimator.estimators.elastic.single_frame import solve
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.estimators.elastic.tracking import ElasticTracker
 from softtissue_estimator.estimators.elastic.tracks import Tracks
@@ -280,7 +281,7 @@ class ElasticEstimator(Estimator):
 
 def _alone(solver: Solver) -> Posterior:
     """Explain an observation that is not part of a stream."""
-    posterior = solver.solve()
+    posterior = solve(solver)
     reason = reason_for_disbelief(solver, posterior, Known().as_lost())
     if reason:
         raise OrganNotFoundError(reason)

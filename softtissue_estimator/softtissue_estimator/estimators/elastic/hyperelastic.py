@@ -7,6 +7,7 @@ Everything runs on one torch device. Forces are in double precision; the stiffne
 iteration converges, in single.
 """
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,6 +74,12 @@ class RestingBody:
     factor: LayeredFactor
     response: Tensor
 
+    @property
+    def usual_displacement(self) -> float:
+        """Root mean square of a component of the nodes' displacement by all loads, each N(0, 1), m."""
+        count = len(self.springs)
+        return float(self.response.view(3 * count, -1).square().sum(dim=1).mean().sqrt())
+
     def linearise_moved(self, rotation: Tensor, state: Tensor, rest: Tensor) -> Tangent:
         """Make the body linear about a rigid motion, without a factorisation. Loads are turned with it.
 
@@ -124,7 +131,7 @@ class HyperelasticBody:
         self._gradients = torch.from_numpy(shape_gradients(mesh)).to(device)  # (m, 4, 3)
         self.volumes = torch.from_numpy(mesh.volumes).to(device)
         self._springs = torch.from_numpy(np.ascontiguousarray(springs)).to(device)
-        self._loads = torch.kron(torch.from_numpy(loads).float(), torch.eye(3)).to(device)
+        self._loads = _by_component(loads, device)
         self._layers = _layers(mesh, springs)
         self._averaged = AveragedVolume(mesh, self._layers, device)
         self._elements = NeoHookeanElements(self._gradients, self._averaged)
@@ -141,6 +148,12 @@ class HyperelasticBody:
         springs_of_all = np.asarray(np.kron(springs, np.eye(3)), dtype=np.float64)
         self._held = torch.from_numpy(self._layers.store(springs_of_all)).float().to(device)
         self._sheared = torch.zeros_like(self._held).index_add_(0, self._entry, shared)
+
+    def with_more_loads(self, loads: FloatArray) -> "HyperelasticBody":
+        """Return the same body with further unit loads, (n, q)."""
+        more = copy.copy(self)
+        more._loads = torch.cat([self._loads, _by_component(loads, self._loads.device)], dim=1)
+        return more
 
     def deformation_gradient(self, displacement: Tensor) -> Tensor:
         """F of every tetrahedron, (m, 3, 3), for nodal displacement (n, 3) m."""
@@ -241,6 +254,10 @@ def _layers(mesh: VolumeMesh, springs: FloatArray) -> Layers:
     rows, columns = np.repeat(mesh.tets, 4, axis=1).reshape(-1), np.tile(mesh.tets, (1, 4)).reshape(-1)
     around = csr_array((np.ones(len(rows)), (rows, columns)), shape=springs.shape)
     return layers_of(csr_array(around @ around + csr_array(np.abs(springs))), 3)
+
+
+def _by_component(loads: FloatArray, device: torch.device) -> Tensor:
+    return torch.kron(torch.from_numpy(loads).float(), torch.eye(3)).to(device)
 
 
 def to_tensor(values: FloatArray, device: torch.device) -> Tensor:

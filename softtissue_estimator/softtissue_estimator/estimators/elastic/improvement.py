@@ -6,17 +6,18 @@ from threading import Event
 
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
-from softtissue_estimator.estimators.elastic.registration_scale import drifted, explained, likeliest
+from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest
 from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.estimators.elastic.solver import Solver
+from softtissue_estimator.estimators.elastic.suppositions import revised
 from softtissue_estimator.inference.device import one_thread
 
 CATCHING_UP_STEPS = 4
 """After a start, which tell nothing of the registration's constancy: the organ is not yet linear where it is."""
 STEPS_PER_HIDDEN_VARIANCE = 3
 """Which changes slowly and takes as long as a fifth of a step."""
-STEPS_PER_DRIFT_TRIAL = 3
-"""One of so many asks whether the registration has moved, which takes as long as a step."""
+STEPS_PER_TRIAL = 2
+"""One of so many asks what else may be wrong, which takes as long as a tenth of a step."""
 STEPS_PER_RATIO_TRIAL = 4
 """One of so many looks at another Poisson's ratio, too."""
 LEAST_LOG_EVIDENCE_GAIN = 1.0
@@ -111,8 +112,8 @@ def _step(task: Task) -> Posterior:
     task.go_on()
     better = _improved(task, task.ratio)
     # Not in one step with the variance of what is hidden.
-    if task.number > CATCHING_UP_STEPS and task.number % STEPS_PER_DRIFT_TRIAL == 2:
-        better = drifted(task.solver, better, task.registration.expected)
+    if task.number > CATCHING_UP_STEPS and task.number % STEPS_PER_TRIAL == 1:
+        better = revised(task.solver, better, task.registration)
     if task.ratio_step and better.ratio + task.ratio_step in task.solver.ratios:
         other = _improved(task, better.ratio + task.ratio_step)
         if other.log_evidence > better.log_evidence + LEAST_LOG_EVIDENCE_GAIN:

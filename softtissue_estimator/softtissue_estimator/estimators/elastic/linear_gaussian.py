@@ -29,6 +29,7 @@ from softtissue_estimator.estimators.elastic.relevance import (
 
 LEAST_FIELD_SIGMA_M = 1e-4
 """Standard deviation of the field of errors, at least: neighbours err together by as much, however good."""
+_ALL = slice(None)
 _BLOCK_ROWS = 160  # of a triangular matrix: as many as are worth a product of their own
 
 
@@ -61,10 +62,13 @@ class Errors:
         return self.field @ amplitudes.field.view(-1, 3) + self.nuisance @ amplitudes.nuisance
 
 
-def equal_variances(tangent: Tangent, nodes: Tensor, prior_sigma_m: float) -> Tensor:
-    """Variance of every load's amplitude, all the same, that lets the nodes (s,) move by `prior_sigma_m`, (p,)."""
+def equal_variances(
+    tangent: Tangent, nodes: Tensor, prior_sigma_m: float, pushing: slice | Tensor = _ALL
+) -> Tensor:
+    """Variance of every load, all the same, (p,), with which those that push move the nodes (s,) by `prior_sigma_m`."""
     response = _response(tangent, nodes)
-    power = response.square().sum(dim=2).mean().double()
+    by_load = response.square().sum(dim=1).mean(dim=0).view(-1, 3).sum(dim=1)
+    power = by_load[pushing].sum().double() / 3.0
     return (prior_sigma_m**2 / power).repeat(response.shape[2] // 3)
 
 

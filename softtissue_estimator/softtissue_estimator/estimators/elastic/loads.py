@@ -19,6 +19,7 @@ _LEAST_RELATIVE_WEIGHT = 1e-9
 """Of a patch's middle. What is farther out is cut off: in single precision it would become denormal numbers, with which
 processors compute a hundred times as slowly."""
 _LEAST_FREE_SHARE = 0.15  # of a patch, that must not be attached
+_LEAST_HELD_SHARE = 0.03  # of the largest area of a node: what is held by less moves nothing
 
 
 def load_basis(mesh: VolumeMesh, attached_areas: FloatArray | None = None) -> FloatArray:
@@ -47,6 +48,33 @@ def load_basis(mesh: VolumeMesh, attached_areas: FloatArray | None = None) -> Fl
     return np.ascontiguousarray(np.column_stack([patches[:, kept] / free[kept], volumes / volumes.sum()]))
 
 
+def attachment_basis(mesh: VolumeMesh, springs: FloatArray, attached_areas: FloatArray) -> FloatArray:
+    """Nodal forces of the springs where what they are fixed to moves by one metre, (n, q); none where nothing is held.
+
+    It moves in patches as wide as the largest that push, as a whole, and in proportion to each coordinate: a turn or a
+    stretch of all that holds the organ is one of few explanations, not a sum of many.
+
+    Parameters
+    ----------
+    mesh : VolumeMesh
+    springs : (n, n) 1/m
+        Over Young's modulus.
+    attached_areas : (n,) m^2
+        Attached surface that belongs to each node.
+    """
+    held = np.flatnonzero(attached_areas > _LEAST_HELD_SHARE * nodal_areas(mesh).max())
+    if not len(held):
+        return np.zeros((len(mesh.nodes), 0))
+    points = mesh.nodes[held]
+    centres, apart = _spread(points, SIZES[-1] * PATCH_SPACING_M)
+    weight = _gaussians(points, centres, apart)
+    moved = np.zeros((len(mesh.nodes), len(centres)))
+    moved[held] = weight / weight.sum(axis=1, keepdims=True)
+    along = mesh.nodes - points.mean(axis=0)
+    along /= np.sqrt((along[held] ** 2).sum(axis=1).mean()) + PATCH_SPACING_M
+    return np.asarray(springs @ np.column_stack([moved, np.ones(len(along)), along]))
+
+
 def _patches(points: FloatArray) -> FloatArray:
     """Weights (n, k) of points of the surface (n, 3) m in each patch, 1 in its middle."""
     sizes = []
@@ -54,11 +82,15 @@ def _patches(points: FloatArray) -> FloatArray:
     for size in SIZES:
         centres, apart = _spread(points, size * spacing)
         spacing = max(spacing, apart / size)  # of a large organ
-        squared = ((points[:, None] - points[centres]) ** 2).sum(axis=2)
-        weight = np.exp(-squared / (2.0 * (PATCH_WIDTH_RATIO * size * spacing) ** 2))
-        weight[weight < _LEAST_RELATIVE_WEIGHT] = 0.0
-        sizes.append(weight)
+        sizes.append(_gaussians(points, centres, size * spacing))
     return np.concatenate(sizes, axis=1)
+
+
+def _gaussians(points: FloatArray, centres: list[int], spacing: float) -> FloatArray:
+    squared = ((points[:, None] - points[centres]) ** 2).sum(axis=2)
+    weight = np.exp(-squared / (2.0 * (PATCH_WIDTH_RATIO * spacing) ** 2))
+    weight[weight < _LEAST_RELATIVE_WEIGHT] = 0.0
+    return np.asarray(weight)
 
 
 def _spread(points: FloatArray, spacing: float) -> tuple[list[int], float]:

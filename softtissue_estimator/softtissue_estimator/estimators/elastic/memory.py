@@ -44,6 +44,8 @@ class Memory:
         Displacement of the nodes in the newest answer.
     patches : float
         Of the surface that were on the organ in the answers before.
+    attachment_moves : bool
+        Whether what holds the organ was seen to move.
     """
 
     state: WarmStart | None = None
@@ -54,6 +56,7 @@ class Memory:
     steps: int = 0
     mean: torch.Tensor | None = None
     patches: float = 0.0
+    attachment_moves: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +130,7 @@ def found_where_it_was(solver: Solver, lost: Lost) -> tuple[Solver, Posterior] |
 
 def followed_from(solver: Solver, known: Known) -> tuple[Solver, Posterior | None, Known]:
     """Follow an organ from what is known of it; also return with what solver, and what was right of what is known."""
+    solver = solver.supposing(known.memory.attachment_moves)
     if known.lost is not None:
         # What nothing before suggests may have been wrong, or not the organ: it may be where it was.
         found = found_where_it_was(solver, known.lost)

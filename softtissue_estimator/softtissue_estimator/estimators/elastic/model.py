@@ -14,7 +14,7 @@ from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimators.elastic.closest_points import MovedSurface
 from softtissue_estimator.estimators.elastic.elasticity import nodal_volumes
 from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody, RestingBody, to_tensor
-from softtissue_estimator.estimators.elastic.loads import load_basis
+from softtissue_estimator.estimators.elastic.loads import attachment_basis, load_basis
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError, expected_error
 from softtissue_estimator.estimators.elastic.tissue import RatioPrior, ratio_prior
 from softtissue_estimator.estimators.estimator import Progress
@@ -29,6 +29,9 @@ _CACHE_VERSION = 3  # of the tetrahedra and what is located in them
 # where nobody says where it is attached as much as attachments somewhere hold it on average.
 _GROUND_SHARE_HELD, _GROUND_SHARE_FREE = 1e-5, 0.3
 
+_ATTACHMENT_SHARE = 0.3
+"""How far what holds the organ moves by a unit load over how far all unit loads that push move the organ."""
+
 
 @dataclass(frozen=True, eq=False)
 class ElasticModel:
@@ -42,6 +45,8 @@ class ElasticModel:
     body : HyperelasticBody
     resting : RestingBody
         With the expected Poisson's ratio.
+    pushing : int
+        How many of the loads push; those behind move what the organ is attached to.
     ratios : RatioPrior
         What Poisson's ratio may be.
     registration : RegistrationError
@@ -60,6 +65,7 @@ class ElasticModel:
     mesh: VolumeMesh
     body: HyperelasticBody
     resting: RestingBody
+    pushing: int
     ratios: RatioPrior
     registration: RegistrationError
     sample_tet: IntArray
@@ -104,9 +110,14 @@ def build_model(
     attached = mesh.interpolation(organ.surface.vertices[organ.attached])
     areas = vertex_areas(organ.surface)[organ.attached]
     held = _springs(mesh, attached, areas / config.attachment_length_m)
-    loads = load_basis(mesh, np.asarray(attached.T @ areas))
+    attached_areas = np.asarray(attached.T @ areas)
+    loads = load_basis(mesh, attached_areas)
     body = HyperelasticBody(mesh, held, loads, device)
     resting = body.at_rest(config.poisson_ratio)
+    moving = attachment_basis(mesh, held, attached_areas)
+    if moving.shape[1]:
+        body = body.with_more_loads(_ATTACHMENT_SHARE * resting.usual_displacement * moving)
+        resting = body.at_rest(config.poisson_ratio)
     ratios = ratio_prior(config.poisson_ratio, config.poisson_ratio_sigma)
     query = mesh.interpolation_in(organ.query_points, stored["query_tet"])
     return ElasticModel(
@@ -115,6 +126,7 @@ def build_model(
         mesh,
         body,
         resting,
+        loads.shape[1],
         ratios,
         expected_error(organ.centre, config.registration_sigma_m, config.registration_sigma_rad),
         stored["sample_tet"],

@@ -4,7 +4,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from softtissue_estimator.estimators.elastic.linear_gaussian import equal_variances, standard_deviation
+from softtissue_estimator.estimators.elastic.linear_gaussian import standard_deviation
+from softtissue_estimator.estimators.elastic.loads_prior import LoadsPrior
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.organ.mesh import FloatArray
 
@@ -16,7 +17,7 @@ the loads that nothing was seen of, and with them the doubt about what is hidden
 LEAST_DEVIATION_M = 5e-5  # standard deviation of any answer, for all that the model does not describe
 
 
-def nodal_sigma(posterior: Posterior, nodes: Tensor, moved: Tensor, prior_sigma_m: float) -> FloatArray:
+def nodal_sigma(posterior: Posterior, nodes: Tensor, moved: Tensor, prior: LoadsPrior) -> FloatArray:
     """Return the standard deviation of each component at the nodes, (n,) m.
 
     Parameters
@@ -26,11 +27,10 @@ def nodal_sigma(posterior: Posterior, nodes: Tensor, moved: Tensor, prior_sigma_
         At rest.
     moved : (n, 3) float64 m
         Displacement of the nodes without bending.
-    prior_sigma_m : float
-        As in `EstimatorConfig`.
+    prior : LoadsPrior
     """
     if posterior.hidden_variance is None:
-        linear = _doubting_variance(posterior, nodes, prior_sigma_m)
+        linear = _doubting_variance(posterior, nodes, prior)
     else:
         found = standard_deviation(posterior.tangent, posterior.amplitudes, posterior.moving(nodes))
         linear = found.square() + posterior.hidden_variance
@@ -39,7 +39,7 @@ def nodal_sigma(posterior: Posterior, nodes: Tensor, moved: Tensor, prior_sigma_
     return np.asarray(variance.sqrt().cpu().numpy(), dtype=np.float64)
 
 
-def hidden_variance(posterior: Posterior, start: WarmStart, nodes: Tensor, prior_sigma_m: float) -> Tensor:
+def hidden_variance(posterior: Posterior, start: WarmStart, nodes: Tensor, prior: LoadsPrior) -> Tensor:
     """Return what the loads that the next frame leaves out add to the nodes' variance, (n,) m^2.
 
     Parameters
@@ -50,16 +50,15 @@ def hidden_variance(posterior: Posterior, start: WarmStart, nodes: Tensor, prior
         What the next frame takes of it.
     nodes : (n, 3) float64 m
         At rest.
-    prior_sigma_m : float
-        As in `EstimatorConfig`.
+    prior : LoadsPrior
     """
     part = posterior.amplitudes.with_loads(start.loads)
     found = standard_deviation(start.tangent, part, posterior.moving(nodes))
-    return (_doubting_variance(posterior, nodes, prior_sigma_m) - found.square()).clamp_min(0.0)
+    return (_doubting_variance(posterior, nodes, prior) - found.square()).clamp_min(0.0)
 
 
-def _doubting_variance(posterior: Posterior, nodes: Tensor, prior_sigma_m: float) -> Tensor:
+def _doubting_variance(posterior: Posterior, nodes: Tensor, prior: LoadsPrior) -> Tensor:
     """Return the nodes' variance with a least variance of every load, (n,) m^2; the posterior has all loads."""
-    equal = equal_variances(posterior.tangent, posterior.observed.nodes, prior_sigma_m)
+    equal = prior.variances(posterior.tangent, posterior.observed.nodes)
     amplitudes = posterior.amplitudes.with_least_variances(LEAST_VARIANCE_SHARE * equal)
     return standard_deviation(posterior.tangent, amplitudes, posterior.moving(nodes)).square()

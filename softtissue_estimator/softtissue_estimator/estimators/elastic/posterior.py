@@ -44,6 +44,8 @@ class Posterior:
         Whether it does to no element what no tissue endures.
     innovation : float
         `surprise`, where the variances are those of earlier observations; NaN where there were none.
+    attachment_moves : bool
+        Whether what holds the organ may move.
     """
 
     tangent: Tangent
@@ -58,6 +60,7 @@ class Posterior:
     hidden_variance: Tensor | None = None
     plausible: bool = True
     innovation: float = math.nan
+    attachment_moves: bool = False
 
     def with_loads(self, kept: Tensor) -> "Posterior":
         """Return the same with some of the loads alone, (l,) their numbers."""

@@ -32,15 +32,24 @@ class RegistrationFilter:
     expected : RegistrationError
     supposed : RegistrationError
         What is known before the next frame.
-    moved : bool
-        Whether a frame showed that the registration has moved since it was learnt.
     """
 
     def __init__(self, expected: RegistrationError) -> None:
         self.expected = expected
         # Most are exact; the first frame that is explained with all loads tells whether this one is.
         self.supposed = expected.scaled(expected.scales[0])
-        self._observed = self.moved = False
+        self._observed = False
+        self._before: RegistrationError | None = None
+
+    @property
+    def moved(self) -> bool:
+        """Whether a frame showed that the registration has moved since it was learnt."""
+        return self._before is not None
+
+    @property
+    def unmoved(self) -> RegistrationError:
+        """What is known of it before the next frame, or was before it moved."""
+        return self._before or self.supposed
 
     @property
     def scales(self) -> tuple[float, ...]:
@@ -64,7 +73,10 @@ class RegistrationFilter:
         """
         if isinstance(self.supposed, OwnMotion):
             return
-        self.moved |= self._observed and not np.array_equal(posterior.registration.root, self.supposed.root)
+        if posterior.registration is self._before:
+            self._before = None
+        elif self._observed and not np.array_equal(posterior.registration.root, self.supposed.root):
+            self._before = self.unmoved
         precision = np.linalg.inv(posterior.nuisance_covariance)
         share = _NEW_SHARE if self._observed else 1.0
         self._observed = True

@@ -10,10 +10,6 @@ import numpy as np
 from softtissue_estimator.estimators.elastic.posterior import Posterior
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 
-DRIFT_SHARE, LEAST_GAIN = 0.3, 3.0
-"""How far a registration may have moved unnoticed, over the largest error that is expected, and which gain of the
-log-evidence shows that it has. Chosen on three moving organs of a training seed, where exact streams lose at least 1.3
-and those that drift by 6 mm gain 5 to 140 in time."""
 MOST_STEPS = 4  # that wait for the correction to settle
 SETTLED_M = (
     0.0005  # a correction that moves by less changes what the organ's bending explains by a tenth of that
@@ -31,9 +27,6 @@ class Explaining(Protocol):
 
     def again(self, posterior: Posterior, registration: RegistrationError, sigma: float) -> Posterior:
         """See `Solver.again`."""
-
-    def afresh(self, posterior: Posterior, registration: RegistrationError) -> Posterior:
-        """See `Solver.afresh`."""
 
 
 def explained(solver: Explaining, registration: RegistrationError, scale: float) -> Posterior:
@@ -53,17 +46,6 @@ def likeliest(solver: Explaining, found: Sequence[Posterior]) -> Posterior:
         return solver.again(posterior, posterior.registration, sigma).log_evidence
 
     return max(found, key=evidence)
-
-
-def drifted(solver: Explaining, posterior: Posterior, expected: RegistrationError) -> Posterior:
-    """Suppose a registration that has moved since it was learnt, where this makes the observation likelier.
-
-    Loads that have become relevant while it moved explain the motion too: both suppositions begin without them.
-    """
-    known = posterior.registration
-    moved = solver.afresh(posterior, known.widened(expected.scaled(DRIFT_SHARE)))
-    gain = moved.log_evidence - solver.afresh(posterior, known).log_evidence
-    return moved if gain >= LEAST_GAIN else posterior
 
 
 def settled(solver: Explaining, posterior: Posterior) -> Posterior:

@@ -1,5 +1,8 @@
 """From observed patches to the elastic posterior: Gauss-Newton steps, each with its own relevance of the loads."""
 
+from __future__ import annotations
+
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,7 +14,7 @@ from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent, to_tensor
 from softtissue_estimator.estimators.elastic.leading_loads import leading_loads
-from softtissue_estimator.estimators.elastic.linear_gaussian import equal_variances
+from softtissue_estimator.estimators.elastic.loads_prior import LoadsPrior
 from softtissue_estimator.estimators.elastic.misfit import Misfit
 from softtissue_estimator.estimators.elastic.model import ElasticModel
 from softtissue_estimator.estimators.elastic.nodal_sigma import hidden_variance, nodal_sigma
@@ -19,14 +22,11 @@ from softtissue_estimator.estimators.elastic.observed import Matchable, Observed
 from softtissue_estimator.estimators.elastic.plausibility import plausible_fit
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart, warm_start
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
-from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest, settled
 from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.observation.seen_surface import CELL_M
 from softtissue_estimator.organ.mesh import FloatArray
 
-MOST_RATIO_CHANGES = 2
-"""Of Poisson's ratio: each makes a step, and one more for every ratio that is tried."""
 VARIANCE_UPDATES = 5  # of the loads, a step
 FIRST_MODEL_SIGMA_M = 0.002  # error of the model in the first step, before there is a residual that shows it
 LEAST_START_SHARE = 1e-2
@@ -73,14 +73,20 @@ class Solver:
         model_sigma_m: float,
     ) -> None:
         self._model, self._observation, self.registration = model, observation, registration
+        self.prior = LoadsPrior(prior_sigma_m, model.pushing)
         self.identified, self.ratios = observation.identified, model.ratios.numbers
         self.patch_share = CELL_M**2 / float(model.organ.surface_lookup.patch_areas.sum())
-        self._prior_sigma_m = prior_sigma_m
         self._misfit = Misfit(max(model_sigma_m, observation.least_sigma_m))
         nodes = model.mesh.nodes
         self._moved = to_tensor(motion.apply(nodes) - nodes, model.device)
         self._rotation = to_tensor(motion.rotation, model.device)
         self._rest = torch.zeros_like(self._moved)
+
+    def supposing(self, attachment_moves: bool) -> Solver:
+        """Return the same with what holds the organ moving, or at rest."""
+        other = copy.copy(self)
+        other.prior = replace(self.prior, attachment_moves=attachment_moves)
+        return other
 
     def unexplained(self, posterior: Posterior) -> float:
         """Return the root mean square of what a posterior leaves and noise does not, m; outliers count little."""
@@ -89,25 +95,28 @@ class Solver:
     def _weights(self, posterior: Posterior) -> FloatArray:
         return self._misfit.weights(posterior.observed, posterior.residual, posterior.model_sigma_m)
 
-    def solve(self) -> Posterior:
-        """Explain the observation without knowing anything from before."""
-        found = [explained(self, self.registration, scale) for scale in self.registration.scales]
-        posterior = settled(self, likeliest(self, found))
-        for _ in range(MOST_RATIO_CHANGES):
-            before, posterior = posterior.ratio, self._improve_by_choice(posterior)
-            if posterior.ratio == before:
-                break
-        return posterior
-
     def again(self, posterior: Posterior, registration: RegistrationError, sigma: float) -> Posterior:
         """Explain the observation again by the same loads, with another registration or error of the model, m."""
         return self._about(posterior, registration, posterior.amplitudes.prior, sigma, 0)
 
-    def afresh(self, posterior: Posterior, registration: RegistrationError) -> Posterior:
-        """Explain the observation about the same state, as if nothing were known of the loads."""
-        loads = equal_variances(posterior.tangent, posterior.observed.nodes, self._prior_sigma_m)
-        variances = Variances(loads, loads.new_tensor(self._observation.first_field_m**2))
-        return self._about(posterior, registration, variances, posterior.model_sigma_m, VARIANCE_UPDATES)
+    def afresh(
+        self,
+        posterior: Posterior,
+        registration: RegistrationError,
+        attachment_moves: bool,
+        loads: Tensor | None = None,
+    ) -> Posterior:
+        """Explain the observation about the same state, as if nothing were known of the loads.
+
+        `loads`, (p,), are the numbers of those that the posterior has; None for all.
+        """
+        prior = replace(self.prior, attachment_moves=attachment_moves)
+        variances = Variances(
+            prior.variances(posterior.tangent, posterior.observed.nodes, loads),
+            posterior.amplitudes.variances.new_tensor(self._observation.first_field_m**2),
+        )
+        found = self._about(posterior, registration, variances, posterior.model_sigma_m, VARIANCE_UPDATES)
+        return replace(found, attachment_moves=attachment_moves)
 
     def _about(
         self,
@@ -128,7 +137,7 @@ class Solver:
         """
         observed = self._observation.about(predicted, self.registration, REACH_M)
         weight, sigma = np.ones(len(observed.precision)), start.model_sigma_m
-        least = LEAST_START_SHARE * equal_variances(start.tangent, observed.nodes, self._prior_sigma_m)
+        least = LEAST_START_SHARE * self.prior.variances(start.tangent, observed.nodes, start.loads)
         variances = start.variances.at_least_each(least)
         for turn in range(self._observation.turns):
             explain = partial(
@@ -170,22 +179,22 @@ class Solver:
         hidden : (n,) float64 m^2 or None
             Variance of the nodes by the loads that are left out, where an earlier one will do.
         """
-        equal = equal_variances(posterior.tangent, posterior.observed.nodes, self._prior_sigma_m)
+        equal = self.prior.variances(posterior.tangent, posterior.observed.nodes)
         amplitudes = posterior.amplitudes
         leading = leading_loads(amplitudes.variances, _FILLED_SHARE * equal, amplitudes.loads_gram)
         start = warm_start(posterior, leading)
         if hidden is None:
-            hidden = hidden_variance(posterior, start, self._model.nodes, self._prior_sigma_m)
+            hidden = hidden_variance(posterior, start, self._model.nodes, self.prior)
         return replace(start, hidden_variance=hidden)
 
     def start(self, registration: RegistrationError, updates: int = VARIANCE_UPDATES) -> Posterior:
-        """Explain the observation with the organ linear about its rigid motion: the first step of `solve`."""
+        """Explain the observation with the organ linear about its rigid motion: the first step of all."""
         tangent = self._model.resting.linearise_moved(self._rotation, self._moved, self._rest)
         ratio = self._model.ratios.expected
         sigmas = self._observation.first_sigmas_m
         first = _FIRST_REACH_DEVIATIONS * (sigmas[0] if sigmas else math.inf)
         observed = self._observation.about(self._moved, registration, first)
-        loads = equal_variances(tangent, observed.nodes, self._prior_sigma_m)
+        loads = self.prior.variances(tangent, observed.nodes)
         variances = Variances(loads, loads.new_tensor(self._observation.first_field_m**2))
         for sigma in sigmas:
             weight = np.ones(len(observed.precision))
@@ -202,20 +211,6 @@ class Solver:
             observed,
         )
 
-    def _improve_by_choice(self, posterior: Posterior) -> Posterior:
-        """Make one more step with every Poisson's ratio towards which the observation becomes more likely."""
-        best = self.improve(posterior, guarded=True)
-        tried = {best.ratio}
-        for direction in (1, -1):
-            while best.ratio + direction in self.ratios - tried:
-                ratio = best.ratio + direction
-                other = self.improve(posterior, guarded=True, ratio=ratio)
-                tried.add(ratio)
-                if other.log_evidence <= best.log_evidence:
-                    break
-                best = other
-        return best
-
     def improve(
         self,
         posterior: Posterior,
@@ -225,7 +220,7 @@ class Solver:
         ratio: int | None = None,
         registration: RegistrationError | None = None,
     ) -> Posterior:
-        """Make one more step of `solve`.
+        """Make one more step.
 
         Parameters
         ----------
@@ -251,7 +246,7 @@ class Solver:
         if variances is None:
             begin = posterior.amplitudes.prior
         else:
-            least = LEAST_START_SHARE * equal_variances(tangent, observed.nodes, self._prior_sigma_m)
+            least = LEAST_START_SHARE * self.prior.variances(tangent, observed.nodes)
             begin = variances.at_least_each(least)
         return self._plausible(
             lambda sigma: self._explain(
@@ -263,7 +258,7 @@ class Solver:
 
     def deviation(self, posterior: Posterior) -> FloatArray:
         """Return the standard deviation of each component at the nodes, (n,) m."""
-        return nodal_sigma(posterior, self._model.nodes, self._moved, self._prior_sigma_m)
+        return nodal_sigma(posterior, self._model.nodes, self._moved, self.prior)
 
     def _plausible(
         self, fit: Callable[[float], Posterior], model_sigma_m: float, observed: Observed
@@ -296,4 +291,5 @@ class Solver:
             evidence,
             registration,
             observed,
+            attachment_moves=self.prior.attachment_moves,
         )

@@ -140,6 +140,7 @@ class ElasticTracker:
                 rigid=False,
                 ratio=better.ratio,
                 settled=settled,
+                attachment_moves=better.attachment_moves,
                 stepped_s=task.stamp_s,
             )
             self._known = replace(self._known, memory=memory)
@@ -167,6 +168,7 @@ class ElasticTracker:
                 known = known if reason else replace(known, lost=None)
             # Loads that have become irrelevant get a little back, so that a new one can be found.
             variances = earlier.all_variances.at_least(_LEAST_VARIANCE_SHARE)
+            variances = replace(variances, loads=solver.prior.held(variances.loads))
             moved_m = _distance(posterior.mean, earlier.tangent.state)
             still = not known.memory.rigid and moved_m < _STILL_DISTANCE_M
         if known.registration is not None and not reason:

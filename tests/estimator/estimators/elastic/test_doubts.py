@@ -25,6 +25,7 @@ WELL = {
     "lost": False,
     "surprised": False,
     "moved": False,
+    "attachment_moves": False,
 }
 
 
@@ -38,6 +39,7 @@ def said(**wrong):
         plausible=found["plausible"],
         amplitudes=SimpleNamespace(prior=prior),
         innovation=1.4,
+        attachment_moves=found["attachment_moves"],
     )
     turn = Rotation.from_rotvec([found["off_rad"], 0.0, 0.0]).as_matrix()
     motion = RigidMotion(turn, CENTRE - turn @ CENTRE + [0.0, found["off_m"], 0.0])
@@ -69,6 +71,7 @@ def test_nothing_is_said_where_all_is_well():
         ({"field_m": 0.0019}, "errors of 1.9 mm that they share"),
         ({"off_m": 0.022}, "off by 22 mm and 5 degrees"),
         ({"off_rad": 0.21}, "off by 8 mm and 12 degrees"),
+        ({"attachment_moves": True}, "an attachment that moves"),
         ({"plausible": False}, "torn or inverted"),
         ({"farthest_m": 0.051}, "some that move far more"),
     ],

@@ -7,7 +7,13 @@ from scipy.spatial import cKDTree
 
 from estimator.shapes import box_tets
 from softtissue_estimator.estimators.elastic.elasticity import nodal_areas, nodal_volumes
-from softtissue_estimator.estimators.elastic.loads import MOST_PATCHES, PATCH_SPACING_M, SIZES, load_basis
+from softtissue_estimator.estimators.elastic.loads import (
+    MOST_PATCHES,
+    PATCH_SPACING_M,
+    SIZES,
+    attachment_basis,
+    load_basis,
+)
 
 MESH = box_tets((0.08, 0.05, 0.03), (9, 6, 4))
 
@@ -80,3 +86,27 @@ def test_nothing_pushes_what_is_attached():
     assert (loads[held, :-1] == 0.0).all()
     np.testing.assert_allclose(loads.sum(axis=0), 1.0)
     assert 1 < loads.shape[1] < load_basis(MESH).shape[1]
+
+
+def test_what_holds_the_organ_moves_in_patches_as_a_whole_and_along_each_axis():
+    areas = nodal_areas(MESH)
+    held = (MESH.nodes[:, 0] < 0.03) & (areas > 0.0)
+    springs = np.diag(np.where(held, 500.0 * areas, 0.0))
+    forces = attachment_basis(MESH, springs, np.where(held, areas, 0.0))
+    assert (forces[~held] == 0.0).all()
+    # By one metre, or all by as much as their distance from the middle, of one size.
+    moved = forces[held] / np.diag(springs)[held, None]
+    patches, whole, along = moved[:, :-4], moved[:, -4], moved[:, -3:]
+    assert patches.shape[1] > 1
+    np.testing.assert_allclose(patches.sum(axis=1), 1.0)
+    np.testing.assert_allclose(whole, 1.0)
+    apart = MESH.nodes[held] - MESH.nodes[held].mean(axis=0)
+    np.testing.assert_allclose(along / along[0, 0], apart / apart[0, 0], atol=1e-12)
+    assert 0.5 < np.sqrt((along**2).sum(axis=1).mean()) < 1.0
+
+
+def test_nothing_holds_an_organ_that_is_attached_nowhere():
+    assert attachment_basis(MESH, np.eye(len(MESH.nodes)), np.zeros(len(MESH.nodes))).shape == (
+        len(MESH.nodes),
+        0,
+    )

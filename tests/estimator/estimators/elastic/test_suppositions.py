@@ -1,0 +1,141 @@
+"""What is doubted: a registration that may have moved, an attachment that may be elsewhere."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from threadpoolctl import ThreadpoolController
+
+from estimator.shapes import ellipsoid, organ_of
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
+from softtissue_estimator.estimators.elastic.observed_pairs import ObservedPairs
+from softtissue_estimator.estimators.elastic.registration_error import expected_error, told_error
+from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
+from softtissue_estimator.estimators.elastic.single_frame import solve
+from softtissue_estimator.estimators.elastic.solver import Solver
+from softtissue_estimator.estimators.elastic.suppositions import DRIFT_SHARE, decided, revised
+from softtissue_estimator.inference.device import one_thread
+from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.observation.patch_average import average_patches, fit_patches
+from softtissue_estimator.organ.mesh import sample_faces
+
+SURFACE = ellipsoid((0.08, 0.05, 0.04), subdivisions=2)
+ORGAN = organ_of(SURFACE, SURFACE.vertices[:, 0] < -0.055)
+CONFIG = EstimatorConfig(poisson_ratio_sigma=0.0)
+DRIFT = (0.006, -0.005, 0.004)
+NONE = (0.0, 0.0, 0.0)
+EXPECTED = expected_error(ORGAN.centre, 0.01, 0.1)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_core():
+    """As in the estimator: small matrices wait long for a second one."""
+    with ThreadpoolController().limit(limits=1, user_api="blas"), one_thread():
+        yield
+
+
+@pytest.fixture(scope="module")
+def model(one_core):
+    return ElasticEstimator(CONFIG).precompute(ORGAN)
+
+
+@cache
+def explained(model, drift, held_at=-0.05):
+    """A solver of an organ held at one x (m), seen bent and with a drift (3,) m, and its posterior.
+
+    It is told that it is held near x = -0.06 m, and that the registration is known to 0.3 mm.
+    """
+    points = sample_faces(SURFACE, SURFACE.triangles[:, :, 2].mean(axis=1) > 0.015, 0.004)[0]
+    lever = np.maximum(-np.sign(held_at) * (points[:, 0] - held_at), 0.0)
+    moved = np.column_stack([0.0 * lever, 0.0 * lever, 1.5 * lever**2]) + drift
+    patches = average_patches(Observation(points, moved, np.full(len(points), 0.0005)), model.lookup)
+    registration = told_error(ORGAN.centre, np.diag([0.0003**2] * 3 + [0.003**2] * 3))
+    motion = fit_patches(patches, CONFIG.model_sigma_m)
+    pairs = ObservedPairs(patches, model)
+    solver = Solver(model, pairs, motion, registration, CONFIG.prior_sigma_m, CONFIG.model_sigma_m)
+    return solver, solver.improve(solver.improve(solver.start(registration), guarded=True), guarded=True)
+
+
+def test_a_registration_that_drifted_is_doubted(model):
+    solver, posterior = explained(model, DRIFT)
+    known = RegistrationFilter(EXPECTED)
+    known.supposed = posterior.registration
+    wider = revised(solver, posterior, known)
+    root = posterior.registration.root, DRIFT_SHARE * EXPECTED.root
+    np.testing.assert_allclose(
+        wider.registration.root @ wider.registration.root.T, root[0] @ root[0].T + root[1] @ root[1].T
+    )
+    left = [
+        np.linalg.norm(found.registration_after.correction.translation + DRIFT)
+        for found in (posterior, wider)
+    ]
+    assert left[1] < 0.6 * left[0]
+
+
+def test_a_stream_remembers_that_its_registration_moved(model):
+    solver, posterior = explained(model, DRIFT)
+    known = RegistrationFilter(posterior.registration)
+    known.supposed = posterior.registration
+    known.observe(posterior)
+    assert not known.moved  # the first frame only says what it is
+    supposed = known.supposed
+    known.observe(solver.improve(posterior, guarded=True, registration=supposed))
+    assert not known.moved
+    again = solver.improve(posterior, guarded=True, registration=known.supposed)
+    wider = known.supposed.widened(EXPECTED.scaled(DRIFT_SHARE))
+    known.observe(solver.afresh(again, wider, attachment_moves=False))
+    assert known.moved
+    # What moved was the attachment, as it turns out.
+    known.observe(solver.afresh(again, known.unmoved, attachment_moves=True))
+    assert not known.moved and known.unmoved is known.supposed
+
+
+@pytest.mark.parametrize("drift", [NONE, (0.0002, -0.0002, 0.0001)], ids=["exact", "as exact as told"])
+def test_an_exact_registration_and_a_right_attachment_are_not_doubted(model, drift):
+    solver, posterior = explained(model, drift)
+    known = RegistrationFilter(EXPECTED)
+    known.supposed = posterior.registration
+    assert revised(solver, posterior, known) is posterior
+
+
+def test_a_right_attachment_is_not_doubted_by_a_frame_alone(model):
+    assert not solve(explained(model, NONE)[0]).attachment_moves
+
+
+def test_an_organ_that_is_held_elsewhere_than_was_told_is_found_out_by_a_frame_alone(model):
+    posterior = solve(explained(model, NONE, held_at=0.05)[0])
+    assert posterior.attachment_moves
+    # What is said to be held is out of sight, and moves most.
+    end = model.mesh.nodes[:, 0] < -0.065
+    moved = posterior.mean.numpy()[end, 2]
+    np.testing.assert_allclose(moved, 1.5 * (0.05 - model.mesh.nodes[end, 0]) ** 2, atol=0.004)
+    assert moved.min() > 0.015
+
+
+def test_a_stream_finds_out_that_the_organ_is_held_elsewhere(model):
+    solver, posterior = explained(model, NONE, held_at=0.05)
+    assert not posterior.attachment_moves
+    known = RegistrationFilter(EXPECTED)
+    known.supposed = posterior.registration
+    other = revised(solver, posterior, known)
+    assert other.attachment_moves
+    assert other.registration is known.supposed
+    assert not solver.prior.attachment_moves  # of the next frame it is said by what is known
+
+
+@pytest.mark.parametrize(
+    ("evidence", "undecided_gain", "shown"),
+    [
+        ([0.0, 1.0, 2.0], 20.0, 0),
+        ([0.0, 4.0, 0.5], 20.0, 1),
+        ([0.0, 15.0, 17.0], 20.0, 0),
+        ([0.0, 21.0, 23.0], 20.0, 1),
+        ([0.0, 15.0, 17.0], 3.0, 1),
+        ([0.0, 15.0, 19.0], 20.0, 2),
+        ([5.0, 2.0], 3.0, 0),
+        ([-900.0, -896.0], 20.0, 1),
+    ],
+)
+def test_a_supposition_needs_more_evidence_than_every_other_one_or_much(evidence, undecided_gain, shown):
+    assert decided(evidence, undecided_gain) == shown
