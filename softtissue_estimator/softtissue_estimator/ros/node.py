@@ -33,10 +33,8 @@ def main() -> None:
 
     from softtissue_estimator.errors import SoftTissueError
     from softtissue_estimator.ros.command_line import parse_arguments
-    from softtissue_estimator.ros.estimator_node import EstimatorNode
     from softtissue_estimator.ros.inputs.transport import use_profile
 
-    stop.begin()
     try:
         parse_arguments(sys.argv[1:])
     except SoftTissueError as error:
@@ -46,6 +44,10 @@ def main() -> None:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:
         leave(_complain(refusal_of_ros(error) or f"arguments: {error}"))
+    # Seconds, for which nobody waits who is refused above.
+    from softtissue_estimator.ros.estimator_node import EstimatorNode
+
+    stop.begin()
 
     def crash(error: BaseException) -> None:
         traceback.print_exception(error)
