@@ -58,7 +58,7 @@ def test_commands_lead_to_weights_and_their_evaluation(followed):
         "generate", "digest", "pack", "train", "train", "generate", "evaluate", "export"
     ]  # fmt: skip
     steps = [int(row["step"]) for row in _rows(folder / "run" / "loss.csv")]
-    assert steps == list(range(1, 81))
+    assert steps == list(range(1, 31))
     exported = load_checkpoint(folder / "paper.safetensors")
     assert exported.provenance["config"]["name"] == "tiny"
     trained = "".join(text for line, text in printed.items() if " train " in line)
