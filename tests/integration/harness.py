@@ -261,9 +261,9 @@ class AtRate:
 
 
 @contextlib.contextmanager
-def running_node(organ: Path, folder: Path):
+def running_node(organ: Path, folder: Path, **changes):
     """A node on a small organ that is never late, and a client of it; at the end it must end in order."""
-    parameters = {"organ": organ, "minimum_visible_fraction": 0.01, "frame_budget_s": 60.0}
+    parameters = {"organ": organ, "minimum_visible_fraction": 0.01, "frame_budget_s": 60.0} | changes
     with reserved() as domain, NodeProcess(domain, folder, parameters) as node, Client(domain) as client:
         client.wait_until_connected()
         yield node, client

@@ -43,7 +43,8 @@ def scene(folder):
 
 @pytest.fixture(scope="module")
 def running(folder, tmp_path_factory):
-    with running_node(folder, tmp_path_factory.mktemp("node")) as node_and_client:
+    # So that what a cloud leaves behind is the same however busy the machine is.
+    with running_node(folder, tmp_path_factory.mktemp("node"), tracking_patience_s=60.0) as node_and_client:
         yield node_and_client
 
 

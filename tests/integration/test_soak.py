@@ -15,6 +15,6 @@ MOST_GAP_S = 1.5
 @pytest.mark.timeout(240)
 def test_another_organ_makes_no_gap(tmp_path):
     result = soak(
-        Plan(seconds=9.0, rate=2.0, load_every_s=1.0, least_loads=2, longest_gap_s=MOST_GAP_S), tmp_path
+        Plan(seconds=6.0, rate=2.0, load_every_s=1.0, least_loads=2, longest_gap_s=MOST_GAP_S), tmp_path
     )
     assert result.wrong() == []
