@@ -72,18 +72,28 @@ def undisturbed(scene):
     return after
 
 
-@pytest.mark.parametrize("make", [torn_lobe, mirrored])
-def test_wrong_cloud_is_not_answered_at_level_ok(scene, make):
-    reasons, _ = played(scene, make(scene))
+@pytest.fixture(scope="module")
+def with_a_torn_lobe(scene):
+    return played(scene, torn_lobe(scene))
+
+
+@pytest.fixture(scope="module")
+def with_a_mirrored_cloud(scene):
+    return played(scene, mirrored(scene))
+
+
+@pytest.mark.parametrize("wrong", ["with_a_torn_lobe", "with_a_mirrored_cloud"])
+def test_wrong_cloud_is_not_answered_at_level_ok(request, wrong):
+    reasons, _ = request.getfixturevalue(wrong)
     assert reasons
 
 
-def test_answers_after_a_mirrored_cloud_are_as_without_it(scene, undisturbed):
-    _, after = played(scene, mirrored(scene))
+def test_answers_after_a_mirrored_cloud_are_as_without_it(with_a_mirrored_cloud, undisturbed):
+    _, after = with_a_mirrored_cloud
     assert np.linalg.norm(after - undisturbed, axis=2).max() < MOST_SPOILT_M
 
 
-def test_answers_are_soon_as_without_a_cloud_with_a_torn_lobe(scene, undisturbed):
+def test_answers_are_soon_as_without_a_cloud_with_a_torn_lobe(with_a_torn_lobe, undisturbed):
     """It is followed without the lobe; what is then supposed of the lobe differs for some frames from mesh to mesh."""
-    _, after = played(scene, torn_lobe(scene))
+    _, after = with_a_torn_lobe
     assert np.linalg.norm(after - undisturbed, axis=2)[FRAMES_SPOILT:].max() < MOST_SPOILT_M

@@ -8,10 +8,11 @@ import trimesh
 import yaml
 
 from recorded_data import PATIENT
+from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.organ.signed_distance import signed_distance
-from softtissue_estimator.organ.volume_mesh import tetrahedralise
 from softtissue_training.cli import main
 from softtissue_training.experiments.phantom.case import load_phantom_case
 from softtissue_training.experiments.phantom.simulate import (
@@ -95,7 +96,9 @@ def test_command_reports_on_a_patients_liver(tmp_path, capsys):
     }
     (tmp_path / "organ.yaml").write_text(yaml.safe_dump(content))
     organ = load_organ(tmp_path)
-    mesh = tetrahedralise(organ.surface, lambda text: None)
+    estimator = ElasticEstimator(EstimatorConfig())
+    estimator.load_organ(organ)  # its tetrahedra are kept for the command
+    mesh = estimator.mesh
     held = organ.surface.vertices[organ.attached].mean(axis=0)
     # Bent to the side, the more the further away from where it is attached.
     bent = np.zeros_like(mesh.nodes)
