@@ -10,6 +10,7 @@ import threading
 import time
 from pathlib import Path
 
+import meshio
 import numpy as np
 import rclpy
 import trimesh
@@ -24,6 +25,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 from softtissue_msgs.msg import Correspondences, EstimatorStatus
 
+from estimator.shapes import ellipsoid_tets
 from ros_domain import environment_of, reserved
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.ros.inputs.transport import use_profile
@@ -46,11 +48,15 @@ def executable(name: str) -> Path:
     return Path(get_package_prefix("softtissue_estimator")) / "lib" / "softtissue_estimator" / name
 
 
-def write_organ(folder: Path, unit: str = "mm", scale: float = 1.0) -> Path:
-    """A small organ: an ellipsoid of 60 x 45 x 40 mm half-axes with a tumour and a vessel, held at -x."""
+def write_organ(folder: Path, unit: str = "mm", scale: float = 1.0, coarse: bool = False) -> Path:
+    """A small organ: an ellipsoid of 60 x 45 x 40 mm half-axes with a tumour and a vessel, held at -x.
+
+    A coarse one brings tetrahedra, with which answers take a fraction of the time.
+    """
     folder.mkdir(parents=True, exist_ok=True)
+    half_axes = np.array([60.0, 45.0, 40.0]) * scale
     surface = trimesh.creation.icosphere(subdivisions=3)
-    surface.vertices *= np.array([60.0, 45.0, 40.0]) * scale
+    surface.vertices *= half_axes
     surface.export(folder / "surface.ply")
     tumour = trimesh.creation.icosphere(subdivisions=2, radius=8.0 * scale)
     tumour.apply_translation(np.array([20.0, 5.0, 8.0]) * scale)
@@ -58,7 +64,12 @@ def write_organ(folder: Path, unit: str = "mm", scale: float = 1.0) -> Path:
     vessel = trimesh.creation.cylinder(radius=3.0 * scale, height=60.0 * scale, sections=12)
     vessel.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0, 1, 0]))
     vessel.export(folder / "vessel.ply")
-    (folder / "organ.yaml").write_text(ORGAN_YAML.format(unit=unit))
+    text = ORGAN_YAML.format(unit=unit)
+    if coarse:
+        mesh = ellipsoid_tets(half_axes)
+        meshio.Mesh(mesh.nodes, {"tetra": mesh.tets}).write(folder / "tetrahedra.vtu")
+        text += "tetrahedra: tetrahedra.vtu\n"
+    (folder / "organ.yaml").write_text(text)
     return folder
 
 

@@ -33,7 +33,7 @@ LONGEST_SENTENCE = 300
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return write_organ(tmp_path_factory.mktemp("organ"))
+    return write_organ(tmp_path_factory.mktemp("organ"), coarse=True)
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ OK, DEGRADED, INVALID = 0, 1, 2
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return write_organ(tmp_path_factory.mktemp("organ"))
+    return write_organ(tmp_path_factory.mktemp("organ"), coarse=True)
 
 
 @pytest.fixture(scope="module")

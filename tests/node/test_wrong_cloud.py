@@ -26,7 +26,7 @@ CONFIG = EstimatorConfig(
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    return Scene(write_organ(tmp_path_factory.mktemp("organ")))
+    return Scene(write_organ(tmp_path_factory.mktemp("organ"), coarse=True))
 
 
 def torn_lobe(scene):

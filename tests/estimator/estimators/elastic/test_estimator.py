@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from estimator.pushed_organ import pushed
-from estimator.shapes import ellipsoid, organ_of, rotation
+from estimator.shapes import ellipsoid, ellipsoid_tets, organ_of, rotation
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.elastic import plausibility
@@ -22,6 +22,7 @@ from softtissue_estimator.organ.volume_mesh import VolumeMesh
 CONFIG = EstimatorConfig()
 EXACTLY_REGISTERED = EstimatorConfig(registration_sigma_m=1e-5, registration_sigma_rad=1e-5)
 SURFACE = ellipsoid((0.08, 0.05, 0.04), subdivisions=3)
+TETRAHEDRA = ellipsoid_tets((0.08, 0.05, 0.04))
 
 
 def loaded(organ: Organ, config: EstimatorConfig = CONFIG) -> ElasticEstimator:
@@ -80,11 +81,17 @@ def estimator(truth):
 
 @pytest.fixture(scope="module")
 def free():
-    return loaded(organ_of(SURFACE))
+    return loaded(organ_of(SURFACE, tetrahedra=TETRAHEDRA))
 
 
 @pytest.fixture(scope="module")
 def held_organ():
+    return organ_of(SURFACE, SURFACE.vertices[:, 0] < -0.055, TETRAHEDRA)
+
+
+@pytest.fixture(scope="module")
+def filled_organ():
+    """The same without tetrahedra of its own."""
     return organ_of(SURFACE, SURFACE.vertices[:, 0] < -0.055)
 
 
@@ -320,20 +327,20 @@ def test_every_stage_is_timed(held):
     assert all(seconds >= 0.0 for seconds in stages.values())
 
 
-def test_second_load_comes_from_the_cache(held_organ, monkeypatch):
-    loaded(held_organ)
+def test_second_load_comes_from_the_cache(filled_organ, monkeypatch):
+    loaded(filled_organ)
     monkeypatch.setattr("softtissue_estimator.estimators.elastic.model.tetrahedralise", None)
     said = []
     estimator = ElasticEstimator(CONFIG)
-    estimator.load_organ(held_organ, said.append)
+    estimator.load_organ(filled_organ, said.append)
     assert said == []
     assert np.isfinite(estimator.estimate(observe(SURFACE, bent)).displacement).all()
 
 
-def test_another_attached_region_keeps_the_tetrahedra(held_organ, monkeypatch):
-    before = loaded(held_organ)
+def test_another_attached_region_keeps_the_tetrahedra(filled_organ, monkeypatch):
+    before = loaded(filled_organ)
     monkeypatch.setattr("softtissue_estimator.estimators.elastic.model.tetrahedralise", None)
-    other = loaded(held_organ.with_attached(SURFACE.vertices[:, 0] > 0.055))
+    other = loaded(filled_organ.with_attached(SURFACE.vertices[:, 0] > 0.055))
     np.testing.assert_array_equal(other.mesh.nodes, before.mesh.nodes)
     pulled = observe(SURFACE, lambda p: np.tile([0.0, 0.0, 0.01], (len(p), 1)) * (np.abs(p[:, :1]) < 0.02))
     near = SURFACE.vertices[:, 0] > 0.06

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from estimator.shapes import ellipsoid, organ_of
+from estimator.shapes import ellipsoid, ellipsoid_tets, organ_of
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import OrganNotFoundError
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
@@ -13,7 +13,7 @@ from softtissue_estimator.observation.bare_cloud import BareCloud
 from softtissue_estimator.organ.mesh import sample_faces
 
 SURFACE = ellipsoid((0.08, 0.05, 0.04), subdivisions=2)
-ORGAN = organ_of(SURFACE, SURFACE.vertices[:, 0] < -0.055)
+ORGAN = organ_of(SURFACE, SURFACE.vertices[:, 0] < -0.055, ellipsoid_tets((0.08, 0.05, 0.04)))
 CONFIG = EstimatorConfig(poisson_ratio_sigma=0.0, tracking=True, tracking_patience_s=60.0)
 TOP = sample_faces(SURFACE, SURFACE.triangles[:, :, 2].mean(axis=1) > 0.01, 0.0025)[0]
 CAMERA = np.array([0.0, 0.0, 0.3])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.shapes import ellipsoid, organ_of
+from estimator.shapes import ellipsoid, ellipsoid_tets, organ_of
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
@@ -22,7 +22,7 @@ from softtissue_estimator.organ.mesh import sample_faces, unit_rows
 
 AXES = np.array([0.08, 0.05, 0.04])
 SURFACE = ellipsoid(tuple(AXES), subdivisions=3)
-ORGAN = organ_of(SURFACE, SURFACE.vertices[:, 0] < -0.055)
+ORGAN = organ_of(SURFACE, SURFACE.vertices[:, 0] < -0.055, ellipsoid_tets(AXES))
 CONFIG = EstimatorConfig(poisson_ratio_sigma=0.0)
 TOP = sample_faces(SURFACE, SURFACE.triangles[:, :, 2].mean(axis=1) > 0.01, 0.002)[0]
 CAMERA = np.array([0.0, 0.0, 0.3])

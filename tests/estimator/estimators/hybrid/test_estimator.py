@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from estimator.recorded_on_cpu import recorded_on_cpu
-from estimator.shapes import ellipsoid, organ_of
+from estimator.shapes import ellipsoid, ellipsoid_tets, organ_of
 from estimator.waiting_operators import WaitingOperators
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import CheckpointError, InvalidInputError
@@ -23,7 +23,7 @@ from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.organ.mesh import sample_faces
 
 SURFACE = ellipsoid((0.08, 0.05, 0.04), subdivisions=3)
-ORGAN = organ_of(SURFACE, SURFACE.vertices[:, 0] < -0.05)
+ORGAN = organ_of(SURFACE, SURFACE.vertices[:, 0] < -0.05, ellipsoid_tets((0.08, 0.05, 0.04)))
 SPEC = HybridSpec(architecture=HybridArchitecture(widths=(8, 8), groups=2))
 
 
