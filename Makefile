@@ -55,6 +55,8 @@ bench-gpu: $(BUILD_STAMP) ## the same on an NVIDIA GPU, out/bench_gpu/bench.json
 
 test: $(BUILD_STAMP) ## all tests, in the built workspace
 	@echo "==> Running the tests"
+	@# As an installation does: hundreds of programs start, also where Python may write no bytecode itself.
+	@.venv/bin/python -m compileall -q softtissue_estimator/softtissue_estimator training/softtissue_training
 	@scripts/run python -m pytest -ra -n auto --dist worksteal $(PYTEST_ARGS) $(TESTS)
 
 signals: $(BUILD_STAMP) ## pairs of signals to the node at random moments, about 8 s each; PAIRS=200
