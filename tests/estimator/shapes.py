@@ -3,6 +3,7 @@
 import itertools
 from pathlib import Path
 
+import meshio
 import numpy as np
 import trimesh
 
@@ -28,6 +29,12 @@ def ellipsoid_tets(half_axes) -> VolumeMesh:
     """
     with np.load(Path(__file__).parents[1] / "data" / "ball.npz") as ball:
         return clean_tets(ball["nodes"].astype(np.float64) * half_axes, ball["tets"].astype(np.int64))
+
+
+def write_ellipsoid_tets(path: Path, half_axes) -> None:
+    """The same as a file, for an organ folder to name; in the unit of the half-axes."""
+    mesh = ellipsoid_tets(half_axes)
+    meshio.Mesh(mesh.nodes, {"tetra": mesh.tets}).write(path)
 
 
 def box_tets(lengths=(0.04, 0.03, 0.02), cells=(4, 3, 2)) -> VolumeMesh:

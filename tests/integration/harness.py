@@ -10,7 +10,6 @@ import threading
 import time
 from pathlib import Path
 
-import meshio
 import numpy as np
 import rclpy
 import trimesh
@@ -25,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 from softtissue_msgs.msg import Correspondences, EstimatorStatus
 
-from estimator.shapes import ellipsoid_tets
+from estimator.shapes import write_ellipsoid_tets
 from ros_domain import environment_of, reserved
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.ros.inputs.transport import use_profile
@@ -66,8 +65,7 @@ def write_organ(folder: Path, unit: str = "mm", scale: float = 1.0, coarse: bool
     vessel.export(folder / "vessel.ply")
     text = ORGAN_YAML.format(unit=unit)
     if coarse:
-        mesh = ellipsoid_tets(half_axes)
-        meshio.Mesh(mesh.nodes, {"tetra": mesh.tets}).write(folder / "tetrahedra.vtu")
+        write_ellipsoid_tets(folder / "tetrahedra.vtu", half_axes)
         text += "tetrahedra: tetrahedra.vtu\n"
     (folder / "organ.yaml").write_text(text)
     return folder

@@ -8,6 +8,7 @@ import numpy as np
 import trimesh
 import yaml
 
+from estimator.shapes import write_ellipsoid_tets
 from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_training.experiments.fcsv import write_fcsv
 from softtissue_training.experiments.labelled_points import LabelledPoints
@@ -37,13 +38,21 @@ def seen_points(count: int) -> np.ndarray:
     return mesh.vertices[upper[np.linspace(0, len(upper) - 1, count).astype(int)]]
 
 
-def write_case(folder: Path, *, correspondences: int | None = 13, surface: bool = False) -> Path:
-    """Write the case: millimetres, LPS meshes, markers as Slicer's lists, correspondences as one table."""
+def write_case(
+    folder: Path, *, correspondences: int | None = 13, surface: bool = False, coarse: bool = False
+) -> Path:
+    """Write the case: millimetres, LPS meshes, markers as Slicer's lists, correspondences as one table.
+
+    The organ of a coarse one brings tetrahedra, with which answers take a fraction of the time.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     organ = ellipsoid()
     trimesh.Trimesh(1e3 * organ.vertices, organ.faces, process=False).export(folder / "organ.ply")
     attached = {"patch": {"centre": [-60, 0, 0], "share": 0.15}}
     content = {"name": "Ellipsoid", "unit": "mm", "surface": "organ.ply", "attached": attached}
+    if coarse:
+        write_ellipsoid_tets(folder / "tetrahedra.vtu", 1e3 * HALF_AXES_M)
+        content["tetrahedra"] = "tetrahedra.vtu"
     (folder / "organ.yaml").write_text(yaml.safe_dump(content))
     labels = tuple(f"M{number}" for number in range(1, 5))
     write_fcsv(folder / "markers_before.fcsv", LabelledPoints(labels, MARKERS_M), "LPS")

@@ -42,7 +42,7 @@ def _small_pictures():
 def outcome(tmp_path_factory):
     """Folders of the case, of the report and of the bag of one run of the command."""
     folder = tmp_path_factory.mktemp("phantom")
-    case = write_case(folder / "case")
+    case = write_case(folder / "case", coarse=True)
     arguments = [str(case), "--out", str(folder / "out"), "--estimators", "zero,rigid,elastic"]
     assert main(["evaluate", "phantom", *arguments, "--bag", str(folder / "bag")]) == 0
     return case, folder / "out", folder / "bag"
@@ -123,7 +123,7 @@ def test_message_of_the_bag_is_that_of_the_node(request):
 
 
 def test_tracking_noise_is_drawn_anew_in_every_frame(tmp_path):
-    case = load_phantom_case(write_case(tmp_path / "case", correspondences=150))
+    case = load_phantom_case(write_case(tmp_path / "case", correspondences=150, coarse=True))
     run = run_phantom(dataclasses.replace(case, tracking_noise_m=0.0005), parse_methods("zero"))
     assert [variant.key for variant in run.variants] == ["given"]
     said = write_case_bag(tmp_path / "bag", run, frames=3)
@@ -140,7 +140,7 @@ def test_surface_alone_is_registered_in_both_ways(tmp_path, monkeypatch):
     monkeypatch.setattr(
         variants, "DriftSettings", functools.partial(DriftSettings, samples=200, iterations=10)
     )
-    case = load_phantom_case(write_case(tmp_path, correspondences=None, surface=True))
+    case = load_phantom_case(write_case(tmp_path, correspondences=None, surface=True, coarse=True))
     run = run_phantom(case, parse_methods("zero,rigid"))
     assert [variant.key for variant in run.variants] == ["registered", "drift"]
     labels = [[answer.label for answer in answers] for answers in run.answers]
@@ -151,7 +151,7 @@ def test_surface_alone_is_registered_in_both_ways(tmp_path, monkeypatch):
 
 
 def test_surface_in_a_frame_of_its_own_is_brought_to_the_organ_first(tmp_path, monkeypatch):
-    case = load_phantom_case(write_case(tmp_path, correspondences=None, surface=True))
+    case = load_phantom_case(write_case(tmp_path, correspondences=None, surface=True, coarse=True))
     turned = RigidMotion(Rotation.from_euler("xyz", [40, -70, 120], degrees=True).as_matrix(), np.ones(3))
 
     def find(finder, points):
@@ -170,7 +170,7 @@ def test_surface_in_a_frame_of_its_own_is_brought_to_the_organ_first(tmp_path, m
 
 
 def test_what_is_said_of_the_registration_is_taken_out_of_the_answer(tmp_path):
-    case = load_phantom_case(write_case(tmp_path, correspondences=None, surface=True))
+    case = load_phantom_case(write_case(tmp_path, correspondences=None, surface=True, coarse=True))
     shift = np.array([0.004, -0.003, 0.005])
     off = ObservedSurface(case.surface_after.points + shift)
     exact, told = (
