@@ -38,6 +38,7 @@ def test_node_may_do_what_it_does_and_nothing_else(tmp_path, domain):
     with NodeProcess(domain, tmp_path, {"organ": organ, "estimator": "elastic"}), Client(domain) as client:
         client.wait_until_connected()
         graph = client.node
+        client.wait(lambda: (NODE, "/") in graph.get_node_names_and_namespaces(), f"{NODE} in the graph")
         opened = {
             "publish": names(graph.get_publisher_names_and_types_by_node(NODE, "/")),
             "subscribe": names(graph.get_subscriber_names_and_types_by_node(NODE, "/")),
