@@ -127,7 +127,7 @@ def test_processes_that_draw_leave_the_curve_of_the_thread_bit_for_bit(data_fold
 
 def test_killed_and_resumed_run_leaves_the_same_curve_as_an_undisturbed_one(data_folder, tmp_path):
     once, killed = tmp_path / "once", tmp_path / "killed"
-    arguments = ["train", "--data", str(data_folder), "--config", "tiny", "--steps", "150"]
+    arguments = ["train", "--data", str(data_folder), "--config", "tiny", "--steps", "90"]
     arguments += ["--validate-every", "10", "--threads", "1", "--device", "cpu", "--noise", "0", "2"]
     process = subprocess.Popen(
         [sys.executable, "-m", "softtissue_training", *arguments, "--out", str(killed)],
@@ -144,13 +144,13 @@ def test_killed_and_resumed_run_leaves_the_same_curve_as_an_undisturbed_one(data
         process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     reached = len(_rows(killed / LOSS))
-    assert 36 <= reached < 150
+    assert 36 <= reached < 90
     # What a kill in the middle of a row leaves.
     with (killed / LOSS).open("a") as stream:
         stream.write(str(reached + 1)[:1])
     assert main([*arguments, "--out", str(killed), "--resume"]) == 0
     assert main([*arguments, "--out", str(once)]) == 0
-    assert len(_rows(once / LOSS)) == 150
+    assert len(_rows(once / LOSS)) == 90
     _assert_same_run(once, killed)
 
 
