@@ -2,8 +2,11 @@
 
 PYTHON ?= python3.11
 # make build TORCH=cuda: no word about the gigabytes of PyTorch's CUDA build.
+# The distribution of ROS 2: kilted in .venv and ros2_ws; jazzy in .venv-jazzy and ros2_ws/jazzy, where the tests are those
+# that start ROS programs.
+ROS ?= kilted
 # For example: make test TESTS=tests/estimator PYTEST_ARGS="-k organ -x"; make demo DEMO_ARGS=--help.
-TESTS ?= tests
+TESTS ?= $(if $(filter kilted,$(ROS)),tests,tests/integration)
 PYTEST_ARGS ?=
 DEMO_ARGS ?=
 # make bench QUICK=1: at most five minutes; BENCH_ARGS=--help.
@@ -20,10 +23,17 @@ SEED ?= 0
 KIND ?=
 REPLAY ?=
 
-VENV_STAMP := .venv/.installed
-BUILD_STAMP := ros2_ws/install/.built
+export SOFTTISSUE_ROS := $(ROS)
+ifeq ($(wildcard requirements-$(ROS).lock)$(filter kilted,$(ROS)),)
+$(error expected ROS=kilted or ROS=jazzy, got ROS=$(ROS))
+endif
 
-VENV_INPUTS := constraints.txt $(wildcard requirements*.txt) $(wildcard training/pyproject.toml training/setup.py) \
+VENV_STAMP := .venv/.installed
+ROS_STAMP := $(if $(filter kilted,$(ROS)),.venv,.venv-$(ROS))/.installed
+BUILD_STAMP := ros2_ws/$(if $(filter kilted,$(ROS)),,$(ROS)/)install/.built
+
+VENV_INPUTS := constraints.txt requirements.txt requirements-dev.txt requirements-docs.txt requirements-ros.txt \
+	$(wildcard training/pyproject.toml training/setup.py) \
 	scripts/check_tools scripts/check_torch scripts/patch_ros_wheels.py scripts/setup_venv scripts/free_gmsh_of_window.py
 # Python modules are linked into the workspace, so that editing them needs no build. Folders are listed beside their
 # files: their time changes when a file comes or goes.
@@ -53,7 +63,7 @@ bench: $(BUILD_STAMP) ## time of everything up to the whole path, out/bench/benc
 bench-gpu: $(BUILD_STAMP) ## the same on an NVIDIA GPU, out/bench_gpu/bench.json
 	@scripts/bench --device cuda --out out/bench_gpu $(if $(filter-out 0,$(QUICK)),--quick) $(BENCH_ARGS)
 
-test: $(BUILD_STAMP) ## all tests, in the built workspace
+test: $(BUILD_STAMP) ## all tests, in the built workspace; ROS=jazzy: tests/integration with ROS 2 Jazzy
 	@echo "==> Running the tests"
 	@# As an installation does: hundreds of programs start, also where Python may write no bytecode itself.
 	@.venv/bin/python -m compileall -q softtissue_estimator/softtissue_estimator training/softtissue_training
@@ -85,14 +95,17 @@ format: $(VENV_STAMP) ## let ruff format the sources and mend what it can
 	@.venv/bin/ruff check --fix .
 	@.venv/bin/ruff format .
 
-clean: ## remove what was built and written: ros2_ws/{build,install,log}, out, caches
-	rm -rf ros2_ws/build ros2_ws/install ros2_ws/log softtissue_estimator/build training/build out .mypy_cache .ruff_cache .pytest_cache .hypothesis
+clean: ## remove what was built and written: all of ros2_ws but src, out, caches
+	rm -rf ros2_ws/build ros2_ws/install ros2_ws/log ros2_ws/jazzy softtissue_estimator/build training/build out .mypy_cache .ruff_cache .pytest_cache .hypothesis
 
-distclean: clean ## and .venv
-	rm -rf .venv .build.lock softtissue_estimator/*.egg-info training/*.egg-info
+distclean: clean ## and .venv, .venv-jazzy
+	rm -rf .venv .venv-jazzy .build.lock softtissue_estimator/*.egg-info training/*.egg-info
 
 $(VENV_STAMP): $(VENV_INPUTS)
 	@scripts/setup_venv $(PYTHON)
 
-$(BUILD_STAMP): $(VENV_STAMP) $(BUILD_INPUTS)
+.venv-%/.installed: requirements-%.lock scripts/setup_ros scripts/patch_ros_wheels.py | $(VENV_STAMP)
+	@scripts/setup_ros $*
+
+$(BUILD_STAMP): $(ROS_STAMP) $(BUILD_INPUTS)
 	@scripts/build_workspace

@@ -136,12 +136,13 @@ def test_transport_profile_of_the_user_stays(launch_file, monkeypatch):
     assert os.environ[OLD_VARIABLE] == "/my/profile.xml"
 
 
-@pytest.mark.parametrize(("distribution", "variable"), [("kilted", VARIABLE), ("jazzy", OLD_VARIABLE)])
+@pytest.mark.parametrize(("library", "variable"), [("libfastdds", VARIABLE), ("libfastrtps", OLD_VARIABLE)])
 def test_transport_profile_is_set_as_each_distribution_reads_it(
-    launch_file, monkeypatch, distribution, variable
+    launch_file, monkeypatch, tmp_path, library, variable
 ):
     for name in (VARIABLE, OLD_VARIABLE):
         monkeypatch.setenv(name, "")  # so that what is set here is taken back
-    monkeypatch.setenv("ROS_DISTRO", distribution)
+    (tmp_path / f"{library}.so.2").touch()
+    monkeypatch.setenv("LD_LIBRARY_PATH", str(tmp_path))
     launch_file.generate_launch_description()
     assert [name for name in (VARIABLE, OLD_VARIABLE) if os.environ[name]] == [variable]

@@ -7,6 +7,7 @@ from typing import Any
 from rcl_interfaces.msg import ParameterType, SetParametersResult
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode
+from rclpy.task import Future
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.boundary import Boundary
@@ -106,6 +107,10 @@ class BoundedExecutor(SingleThreadedExecutor):
     def __init__(self, boundary: Boundary) -> None:
         super().__init__()
         self._boundary = boundary
+
+    def create_future(self) -> Future:
+        """Return a future whose callbacks this executor calls; executors of rclpy before Kilted have no such method."""
+        return Future(executor=self)
 
     def _take_subscription(self, sub: Any) -> Any:
         return self._boundary.guarded(sub.topic_name, super()._take_subscription)(sub)

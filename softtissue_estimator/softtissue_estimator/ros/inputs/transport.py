@@ -8,9 +8,10 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.support.resources import resource
 
 VARIABLE = "FASTDDS_DEFAULT_PROFILES_FILE"
-# Fast DDS 2 reads this name; Fast DDS 3 would read the profile twice if both were set.
+# What Fast DDS 2 reads, up to Jazzy. Fast DDS 3 would read the profile twice if both were set.
 OLD_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
-OLD_DISTRIBUTIONS = ("humble", "iron", "jazzy")
+# The library that reads each of them.
+LIBRARIES = {VARIABLE: "libfastdds.so", OLD_VARIABLE: "libfastrtps.so"}
 SHARED_MEMORY = Path("/dev/shm")
 
 # Bytes of the segment in fastdds_profile.xml. Every process that takes part allocates one, whole.
@@ -23,6 +24,18 @@ def choose_profile(free_bytes: int) -> Path:
     """Return the profile whose segments fit into `free_bytes` of shared memory for `PROCESSES` processes."""
     name = "fastdds_profile.xml" if free_bytes >= PROCESSES * LARGE_SEGMENT else "fastdds_profile_small.xml"
     return resource("config", name)
+
+
+def profile_variable() -> str:
+    """Return the name of the variable that this environment's Fast DDS reads."""
+    folders = [Path(folder) for folder in os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep) if folder]
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    folders += [Path(prefix) / "lib" for prefix in prefixes if prefix]
+    for folder in folders:
+        for variable, library in LIBRARIES.items():
+            if any(folder.glob(f"{library}*")):
+                return variable
+    return VARIABLE
 
 
 def use_profile() -> str:
@@ -38,6 +51,5 @@ def use_profile() -> str:
         profile = choose_profile(free)
     except InvalidInputError as error:
         return f"no transport profile, so large best-effort clouds may not arrive: {error}"
-    old = os.environ.get("ROS_DISTRO") in OLD_DISTRIBUTIONS
-    os.environ[OLD_VARIABLE if old else VARIABLE] = str(profile)
+    os.environ[profile_variable()] = str(profile)
     return f"transport profile {profile} (shared memory has {free // 2**20} MB free)"
