@@ -39,7 +39,7 @@ VENV_INPUTS := constraints.txt requirements.txt requirements-dev.txt requirement
 # files: their time changes when a file comes or goes.
 BUILD_INPUTS := scripts/build_workspace scripts/env.sh \
 	$(wildcard $(addprefix softtissue_estimator/,package.xml pyproject.toml setup.py setup.cfg)) \
-	$(shell find softtissue_msgs -not -name '.*') \
+	$(shell find softtissue_msgs -not -name '.*' -not -path '*/test/*') \
 	$(shell find $(addprefix softtissue_estimator/,bags config launch organs rviz weights) \
 		-not -name '.*' -not -name '*.pyc' -not -name __pycache__ 2>/dev/null)
 

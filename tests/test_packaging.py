@@ -15,7 +15,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from installed_packages import named
-from test_dependencies import CORE, ROOT, TRAINING
+from test_dependencies import CORE, ROOT, ROS_PACKAGES, TRAINING, imports
 
 PACKAGES = {"softtissue_estimator": CORE, "training": TRAINING}
 
@@ -105,3 +105,41 @@ def test_every_dependency_has_its_line_of_why(wheels):
     assert {"vtk", "gmsh", "uv", "ros-rclpy", "mkdocs"} <= names
     unsaid = [name for name in names if not any(fnmatch(name, word) for word in said)]
     assert sorted(set(unsaid) - {"softtissue-estimator"}) == []
+
+
+def declared(package: str, *kinds: str) -> set[str]:
+    manifest = ElementTree.parse(ROOT / package / "package.xml").getroot()
+    return {one.text for kind in kinds for one in manifest.findall(kind)}
+
+
+@pytest.mark.parametrize(
+    ("package", "kinds"),
+    [
+        ("softtissue_estimator", {"softtissue_estimator": ("exec_depend",), "launch": ("exec_depend",)}),
+        ("softtissue_estimator", {"test": ("exec_depend", "test_depend")}),
+        ("softtissue_msgs", {"test": ("depend", "test_depend")}),
+    ],
+)
+def test_manifest_declares_what_is_imported_of_ros(package, kinds):
+    for folder, fields in kinds.items():
+        sources = [*(ROOT / package / folder).rglob("*.py")]
+        used = {name.partition(".")[0] for source in sources for name in imports(source)} & ROS_PACKAGES
+        assert sources and used
+        assert sorted(used - declared(package, *fields) - {package}) == []
+
+
+def test_manifest_declares_nothing_of_ros_that_is_not_used():
+    sources = [*CORE.rglob("*.py"), *(ROOT / "softtissue_estimator" / "launch").rglob("*.py")]
+    used = {name.partition(".")[0] for source in sources for name in imports(source)}
+    # Started, not imported.
+    started = {"ros2launch", "rviz2"}
+    kept = {name for name in declared("softtissue_estimator", "exec_depend") if "python3" not in name}
+    assert sorted(kept - used - started) == []
+
+
+@pytest.mark.parametrize("package", ["softtissue_estimator", "softtissue_msgs"])
+def test_manifest_says_whose_it_is_and_where(package):
+    manifest = ElementTree.parse(ROOT / package / "package.xml").getroot()
+    assert re.fullmatch(r"\S+@\S+\.\S+", manifest.find("maintainer").get("email"))
+    assert {url.get("type") for url in manifest.findall("url")} == {"website", "bugtracker", "repository"}
+    assert "python3-pytest" in declared(package, "test_depend")
