@@ -7,6 +7,7 @@ PYTHON ?= python3.11
 ROS ?= kilted
 # For example: make test TESTS=tests/estimator PYTEST_ARGS="-k organ -x"; make demo DEMO_ARGS=--help.
 TESTS ?= $(if $(filter kilted,$(ROS)),tests,tests/integration)
+NUMPY1_TESTS := $(if $(filter command line environment,$(origin TESTS)),$(TESTS),tests/estimator tests/node)
 PYTEST_ARGS ?=
 DEMO_ARGS ?=
 # make bench QUICK=1: at most five minutes; BENCH_ARGS=--help.
@@ -45,10 +46,10 @@ BUILD_INPUTS := scripts/build_workspace scripts/env.sh \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: bench bench-gpu build clean demo distclean docs format fuzz help lint signals soak test venv verify
+.PHONY: bench bench-gpu build clean demo distclean docs format fuzz help lint signals soak test test-numpy1 venv verify
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 venv: $(VENV_STAMP) ## create .venv with everything pinned in constraints.txt
 
@@ -68,6 +69,10 @@ test: $(BUILD_STAMP) ## all tests, in the built workspace; ROS=jazzy: tests/inte
 	@# As an installation does: hundreds of programs start, also where Python may write no bytecode itself.
 	@.venv/bin/python -m compileall -q softtissue_estimator/softtissue_estimator training/softtissue_training
 	@scripts/run python -m pytest -ra -n auto --dist worksteal $(PYTEST_ARGS) $(TESTS)
+
+test-numpy1: $(BUILD_STAMP) .venv-numpy1/.installed ## core and node with numpy 1.26; TESTS and PYTEST_ARGS as above
+	@echo "==> Running the tests with numpy 1.26"
+	@scripts/run bash -c 'PATH="$$PWD/.venv-numpy1/bin:$$PATH" exec python -m pytest -ra -n auto --dist worksteal $(PYTEST_ARGS) $(NUMPY1_TESTS)'
 
 signals: $(BUILD_STAMP) ## pairs of signals to the node at random moments, about 8 s each; PAIRS=200
 	@scripts/run python tests/integration/signal_pairs.py $(PAIRS)
@@ -98,14 +103,16 @@ format: $(VENV_STAMP) ## let ruff format the sources and mend what it can
 clean: ## remove what was built and written: all of ros2_ws but src, out, caches
 	rm -rf ros2_ws/build ros2_ws/install ros2_ws/log ros2_ws/jazzy softtissue_estimator/build training/build out .mypy_cache .ruff_cache .pytest_cache .hypothesis
 
-distclean: clean ## and .venv, .venv-jazzy
-	rm -rf .venv .venv-jazzy .build.lock softtissue_estimator/*.egg-info training/*.egg-info
+distclean: clean ## and .venv, .venv-jazzy, .venv-numpy1
+	rm -rf .venv .venv-jazzy .venv-numpy1 .build.lock softtissue_estimator/*.egg-info training/*.egg-info
 
 $(VENV_STAMP): $(VENV_INPUTS)
 	@scripts/setup_venv $(PYTHON)
 
-.venv-%/.installed: requirements-%.lock scripts/setup_ros scripts/patch_ros_wheels.py | $(VENV_STAMP)
-	@scripts/setup_ros $*
+.venv-jazzy/.installed: requirements-jazzy.lock
+.venv-numpy1/.installed: requirements-numpy1.txt
+.venv-%/.installed: scripts/setup_beside scripts/patch_ros_wheels.py | $(VENV_STAMP)
+	@scripts/setup_beside $*
 
 $(BUILD_STAMP): $(ROS_STAMP) $(BUILD_INPUTS)
 	@scripts/build_workspace

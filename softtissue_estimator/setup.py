@@ -1,7 +1,9 @@
 """What pyproject.toml cannot say: the files beside the code, and commands for colcon alone."""
 
+import re
 import sys
 from pathlib import Path
+from typing import Any
 
 from setuptools import find_packages, setup
 
@@ -37,7 +39,22 @@ def commands() -> list[str]:
     return [f"{command} = {NAME}.{module}:main" for command, module in modules.items()]
 
 
+def steps() -> dict[str, Any]:
+    """Return what `colcon build --symlink-install` runs instead of setuptools' own, which overlooks [build_scripts]."""
+    if "develop" not in sys.argv:
+        return {}
+    from setuptools.command.develop import develop
+
+    class LinkedInstallation(develop):
+        def write_script(self, script_name: str, contents: str, *mode: str) -> None:
+            executable = self.get_finalized_command("build_scripts").executable
+            super().write_script(script_name, re.sub(r"\A#!.*", f"#!{executable}", contents), *mode)
+
+    return {"develop": LinkedInstallation}
+
+
 setup(
+    cmdclass=steps(),
     license="Apache-2.0",  # in pyproject.toml no form is right for both setuptools 68, which ROS 2 Jazzy has, and 79
     python_requires=">=3.11",  # in pyproject.toml it becomes a value that colcon cannot read
     packages=find_packages(include=[NAME, f"{NAME}.*"]),

@@ -14,7 +14,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from installed_packages import named
+from installed_packages import named, pinned
 from test_dependencies import CORE, ROOT, ROS_PACKAGES, TRAINING, imports
 
 PACKAGES = {"softtissue_estimator": CORE, "training": TRAINING}
@@ -143,3 +143,11 @@ def test_manifest_says_whose_it_is_and_where(package):
     assert re.fullmatch(r"\S+@\S+\.\S+", manifest.find("maintainer").get("email"))
     assert {url.get("type") for url in manifest.findall("url")} == {"website", "bugtracker", "repository"}
     assert "python3-pytest" in declared(package, "test_depend")
+
+
+def test_oldest_numpy_and_scipy_that_are_declared_are_those_that_are_tested(wheels):
+    tested = pinned("requirements-numpy1.txt")
+    stated = [Requirement(need) for need in metadata(wheels["softtissue_estimator"]).get_all("Requires-Dist")]
+    for needs in (stated, named("requirements.txt")):
+        oldest = {need.name: str(need.specifier).removeprefix(">=") for need in needs if need.name in tested}
+        assert {name: tested[name].rpartition(".")[0] for name in tested} == oldest

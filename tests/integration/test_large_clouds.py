@@ -73,6 +73,8 @@ def test_recorded_bag_of_a_real_camera_is_replayed_and_read(folder, tmp_path, ba
     rename = ["/point_cloud:=surface_points"]
     with NodeProcess(domain, tmp_path, {"organ": folder}) as node, Client(domain) as client:
         client.wait_until_connected()
+        # Where rclpy does not say who sent a cloud, losses are counted while there is one publisher.
+        client.node.destroy_publisher(client.clouds)
         (tmp_path / "replay").mkdir()
         with NodeProcess(domain, tmp_path / "replay", {}, replay, rename) as player:
             assert player.wait(60.0) == 0, player.text

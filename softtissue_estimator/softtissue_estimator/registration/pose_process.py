@@ -23,6 +23,7 @@ from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_estimator.registration.find_pose import FoundPose, PoseFinder
 from softtissue_estimator.registration.poses import PosePrior
+from softtissue_estimator.support.arrays import save_arrays
 from softtissue_estimator.support.leftovers import child_environment, contained, temporary_folder
 
 FloatArray = NDArray[np.float64]
@@ -126,7 +127,7 @@ class PoseProcess:
     def _answer(self, child: subprocess.Popen[bytes], question: dict[str, Any]) -> dict[str, Any] | None:
         """Return the answer; None where the process ends without one."""
         source, target = self._folder / "question.npz", self._folder / "answer.npz"
-        np.savez(source, **question, allow_pickle=False)
+        save_arrays(source, question)
         stdin, stdout = child.stdin, child.stdout
         # One that is known to have ended is not written to: where SIGPIPE is not ignored that would end this one, too.
         if stdin is None or stdout is None or child.poll() is not None:
@@ -163,7 +164,7 @@ class Server:
             answer = {} if "points" not in arrays else _arrays_of_found(_found(finder, _question_of(arrays)))
         except InvalidInputError as error:
             answer = {"refused": np.array(str(error))}
-        np.savez(target, **answer, allow_pickle=False)
+        save_arrays(target, answer)
 
     def _prepared(self, surface: SurfaceMesh) -> PoseFinder:
         key = surface.vertices.tobytes() + surface.faces.tobytes()

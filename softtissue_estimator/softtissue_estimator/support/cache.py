@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softtissue_estimator.support.arrays import save_arrays
 from softtissue_estimator.support.files import expanded, is_file
 from softtissue_estimator.support.leftovers import temporary
 
@@ -122,7 +123,7 @@ def _write(path: Path, key: str, arrays: Arrays) -> None:
         handle, partial = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".part")
         with temporary(Path(partial)):
             with os.fdopen(handle, "wb") as file:
-                np.savez(file, allow_pickle=False, **{_KEY_NAME: np.array(key)}, **arrays)
+                save_arrays(file, {_KEY_NAME: np.array(key), **arrays})
             os.replace(partial, path)
         _prune(path.parent)
     except (OSError, ValueError) as error:

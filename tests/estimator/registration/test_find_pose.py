@@ -174,7 +174,7 @@ def test_steps_between_poses_lead_back():
 
 def test_rotations_are_spread_over_all():
     rotations = spread_rotations(500)
-    others = Rotation.random(300, rng=np.random.default_rng(5)).as_matrix()
+    others = Rotation.random(300, random_state=np.random.default_rng(5)).as_matrix()
     cosine = (np.einsum("aij,bij->ab", others, rotations).max(axis=1) - 1.0) / 2.0
     assert np.degrees(np.arccos(cosine.min())) < 35.0
 

@@ -75,7 +75,7 @@ def test_every_frame_overwrites_stamp_pose_and_covariance():
         (6, ""),
     ]:
         motion, covariance = np.eye(4), rng.normal(size=(6, 6))
-        motion[:3, :3], motion[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)
+        motion[:3, :3], motion[:3, 3] = Rotation.from_quat(rng.normal(size=4)).as_matrix(), rng.normal(size=3)
         data = buffer.serialised(motion, covariance, frame, stamp)
         before = bytes(bytearray(data))
         buffer.serialised(np.eye(4), np.zeros((6, 6)), frame, 1)

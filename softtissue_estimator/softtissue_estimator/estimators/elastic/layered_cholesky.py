@@ -91,7 +91,9 @@ def layers_of(adjacency: csr_array, repeat: int) -> Layers:
         Rows of the matrix that belong to each node.
     """
     level = np.full(adjacency.shape[0], -1)
-    weights = csr_array((np.ones(adjacency.nnz), adjacency.indices, adjacency.indptr), shape=adjacency.shape)
+    # SciPy 1.11 walks through graphs with indices of 32 bits alone.
+    indices, starts = adjacency.indices.astype(np.int32), adjacency.indptr.astype(np.int32)
+    weights = csr_array((np.ones(adjacency.nnz), indices, starts), shape=adjacency.shape)
     while (level < 0).any():  # once for every connected part
         start = int(np.flatnonzero(level < 0)[0])
         for _ in range(_END_SEARCHES):

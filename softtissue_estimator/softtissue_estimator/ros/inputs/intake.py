@@ -143,16 +143,24 @@ class Intake:
 
     def _lost_before(self, info: dict[str, Any]) -> int:
         """Count clouds that a newer one overwrote before this thread could take them, or that got lost."""
-        publisher, sequence = info.get("publisher_gid"), info.get("publication_sequence_number")
-        if not publisher or sequence is None:
+        publisher, sequence = self._publisher_of(info), info.get("publication_sequence_number")
+        if publisher is None or sequence is None:
             return 0
-        lost = self._losses.lost_before(_identity(publisher["data"]), int(sequence))
+        lost = self._losses.lost_before(publisher, int(sequence))
         if lost:
             self._on_warning(
                 f"{self.topic}: expected every cloud of its publisher, got a gap of {lost}, counted as dropped;"
                 f" if this goes on and they are large, {TRANSPORT_HINT}"
             )
         return lost
+
+    def _publisher_of(self, info: dict[str, Any]) -> bytes | None:
+        """Return who sent a cloud; None where that is unknown."""
+        if gid := info.get("publisher_gid"):
+            return _identity(gid["data"])
+        # rclpy before Kilted does not say it. Where there is one publisher, it was that one.
+        offers = self._node.get_publishers_info_by_topic(self.topic)
+        return _identity(offers[0].endpoint_gid) if len(offers) == 1 else None
 
     def _take_correspondences(self, message: Correspondences) -> None:
         try:
