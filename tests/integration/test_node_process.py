@@ -16,7 +16,7 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints
 
 from integration.harness import (
@@ -82,7 +82,11 @@ def test_signal_while_an_organ_loads_ends_with_zero(slow, monkeypatch, domain):
 
 
 def test_life_cycle_by_services(slow, scene, folder, tmp_path, domain):
-    with slow(domain, 0.0, autostart=False) as node, Client(domain) as client:
+    overrides = {
+        "qos_overrides./surface_points.subscription.reliability": "reliable",
+        "qos_overrides./softtissue_estimator/status.publisher.durability": "volatile",
+    }
+    with slow(domain, 0.0, autostart=False, **overrides) as node, Client(domain) as client:
 
         def change(transition):
             request = ChangeState.Request(transition=Transition(id=transition))
@@ -98,6 +102,8 @@ def test_life_cycle_by_services(slow, scene, folder, tmp_path, domain):
 
         warp = WarpPoints.Request(points=[0.0, 0.0, 0.0])
         assert state() == State.PRIMARY_STATE_UNCONFIGURED
+        (status,) = client.node.get_publishers_info_by_topic("/softtissue_estimator/status")
+        assert status.qos_profile.durability == DurabilityPolicy.VOLATILE
         response = client.call(LoadOrgan, "load_organ", LoadOrgan.Request(folder=str(folder)))
         assert response.result == LoadOrgan.Response.NOT_CONFIGURED
         assert client.call(Reset, "reset", Reset.Request()).result == Reset.Response.NOT_CONFIGURED
@@ -117,6 +123,8 @@ def test_life_cycle_by_services(slow, scene, folder, tmp_path, domain):
             assert change(Transition.TRANSITION_ACTIVATE)
             assert state() == State.PRIMARY_STATE_ACTIVE
             client.wait_until_connected()
+            (clouds,) = client.node.get_subscriptions_info_by_topic("/surface_points")
+            assert clouds.qos_profile.reliability == ReliabilityPolicy.RELIABLE
             stamp = next(stamps)
             client.clouds.publish(scene.cloud(stamp))
             client.answer_of(stamp)

@@ -56,11 +56,15 @@ def write_checkpoint_of_another_architecture(path):
         ({"frame_budget_s": -1.0}, ["frame_budget_s", "-1"]),
         ({"minimum_points": "many"}, ["minimum_points", "many"]),
         (
+            {"qos_overrides./surface_points.subscription.reliability": "sure"},
+            ["surface_points", "best_effort, reliable", "'sure'"],
+        ),
+        (
             {"estimator": "paper", "checkpoint": "{tmp}/other.safetensors"},
             ["other.safetensors", "architecture"],
         ),
     ],
-    ids=["estimator", "range", "type", "other architecture"],
+    ids=["estimator", "range", "type", "quality of service", "other architecture"],
 )
 def test_wrong_parameter_at_start_is_one_sentence_and_exit_code_2(
     folder, tmp_path, parameters, words, domain

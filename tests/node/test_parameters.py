@@ -37,6 +37,8 @@ def test_descriptors_tell_type_unit_and_range():
         if field.metadata["range"] is not None:
             limits = (described.floating_point_range or described.integer_range)[0]
             assert (limits.from_value, limits.to_value) == field.metadata["range"]
+        # What only the start looks at cannot seem to change afterwards.
+        assert described.read_only == (field.name in {"autostart", "organ_root", "use_tf"})
 
 
 def test_live_parameters_change_and_others_only_when_unconfigured():

@@ -11,7 +11,7 @@ from softtissue_estimator.errors import InvalidInputError
 
 _EXAMPLE = "ros2 run softtissue_estimator node --ros-args -p organ:=/data/my_liver -r surface_points:=/tracker/points"
 _OURS = "expected only --help, and ROS's own arguments behind --ros-args"
-# Parameters of rclpy itself; quality of service is checked where a topic is made.
+# Parameters of rclpy itself; those of quality of service are checked beside the topics.
 _OF_ROS = ("use_sim_time", "start_type_description_service")
 _OF_TOPICS = "qos_overrides."
 _ALIKE = 0.7  # of difflib: one or two letters off in a short name
@@ -62,7 +62,7 @@ def check_parameters(given: Iterable[str], on_command_line: Sequence[str]) -> li
         If a name is misspelt, or one that the command line gives is not known.
     """
     known = [field.name for field in dataclasses.fields(EstimatorConfig)]
-    direct = {word.partition(":=")[0].rpartition(":")[2] for word in on_command_line if ":=" in word}
+    direct = given_directly(on_command_line)
     left = []
     for name in sorted(given):
         if name in known or name in _OF_ROS or name.startswith(_OF_TOPICS):
@@ -75,6 +75,11 @@ def check_parameters(given: Iterable[str], on_command_line: Sequence[str]) -> li
             raise InvalidInputError(f"{said}, got another; `node --help` lists them")
         left.append(f"{said}, got another, which is left out")
     return left
+
+
+def given_directly(command_line: Sequence[str]) -> set[str]:
+    """Return the names of the parameters that a command line gives, without those of its files."""
+    return {word.partition(":=")[0].rpartition(":")[2] for word in command_line if ":=" in word}
 
 
 def _outside_ros(command_line: Sequence[str]) -> list[str]:

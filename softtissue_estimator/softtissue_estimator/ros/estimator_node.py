@@ -27,6 +27,7 @@ from softtissue_estimator.ros.cloud_stream import CloudStream
 from softtissue_estimator.ros.engine import load_engine, organ_roots
 from softtissue_estimator.ros.inputs.counters import FrameCounters
 from softtissue_estimator.ros.inputs.registration import Registration
+from softtissue_estimator.ros.inputs.topic_quality import overridable
 from softtissue_estimator.ros.inputs.transforms import tf_source
 from softtissue_estimator.ros.managed import CONFIGURING, ManagedNode
 from softtissue_estimator.ros.organ_loading import OrganLoading
@@ -72,23 +73,22 @@ class EstimatorNode(ManagedNode):
         super().__init__(NAME, Boundary(get_logger(NAME), on_crash))
         parameters.declare_parameters(self)
         self._config: EstimatorConfig = parameters.read_config(self)
-        self.add_on_set_parameters_callback(
-            self.boundary.guarded("parameters", self._on_parameters, lambda said, _: parameters.refused(said))
-        )
         self._counters = FrameCounters()
         self._registration = Registration(
             tf_source(self) if self._config.use_tf else None, lambda: self._config.registration_max_age_s
         )
         self._broadcast = RegistrationBroadcast(self)
         outputs = Outputs(
-            self.create_lifecycle_publisher(PointCloud2, "~/deformed_points", OUTPUT_QOS),
-            self.create_lifecycle_publisher(MarkerArray, "~/markers", NEWEST_QOS),
-            self.create_lifecycle_publisher(PoseWithCovarianceStamped, "~/registration", OUTPUT_QOS),
-            self.create_lifecycle_publisher(EstimatorStatus, "~/status", STATUS_QOS),
+            self.create_lifecycle_publisher(PointCloud2, "~/deformed_points", **overridable(OUTPUT_QOS)),
+            self.create_lifecycle_publisher(MarkerArray, "~/markers", **overridable(NEWEST_QOS)),
+            self.create_lifecycle_publisher(
+                PoseWithCovarianceStamped, "~/registration", **overridable(OUTPUT_QOS)
+            ),
+            self.create_lifecycle_publisher(EstimatorStatus, "~/status", **overridable(STATUS_QOS)),
             self.boundary.warn,
             self.boundary.sentence,
             self._broadcast,
-            self.create_lifecycle_publisher(Structures, "~/structures", NEWEST_QOS),
+            self.create_lifecycle_publisher(Structures, "~/structures", **overridable(NEWEST_QOS)),
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
         self._poses = PoseProcess()
@@ -115,6 +115,10 @@ class EstimatorNode(ManagedNode):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.1, self._on_tenth, clock=steady)
         self.create_timer(1.0, self._on_second, clock=steady)
+        # Last: the publishers declare parameters, too.
+        self.add_on_set_parameters_callback(
+            self.boundary.guarded("parameters", self._on_parameters, lambda said, _: parameters.refused(said))
+        )
 
     def _create_services(self) -> None:
         # Their callbacks wait for threads; in a group that lets everything else go on meanwhile.

@@ -12,7 +12,8 @@ from rclpy.parameter import Parameter
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.estimator import check_estimator
-from softtissue_estimator.ros.command_line import check_parameters
+from softtissue_estimator.ros.command_line import check_parameters, given_directly
+from softtissue_estimator.ros.inputs.topic_quality import check_quality
 
 # Read anew for every cloud, so they may change while the node works. Everything else goes into what is loaded.
 LIVE = frozenset(
@@ -36,7 +37,7 @@ LIVE = frozenset(
 )
 
 # Given at the start by whoever starts the node, and by nobody on the ROS graph.
-FIXED = frozenset({"organ_root", "use_tf"})
+FIXED = frozenset({"autostart", "organ_root", "use_tf"})
 
 # A node answers a stream, a library one observation at a time.
 NODE_DEFAULTS = {"tracking": True}
@@ -70,8 +71,10 @@ def declare_parameters(node: Node) -> None:
     InvalidInputError
         If a value given at the start is of the wrong type or outside its range, or of a parameter that is misspelt.
     """
-    for sentence in check_parameters(node._parameter_overrides, sys.argv):
+    given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
+    for sentence in check_parameters(given, sys.argv):
         node.get_logger().warning(sentence)
+    check_quality(given, node.resolve_topic_name, given_directly(sys.argv))
     for field in dataclasses.fields(EstimatorConfig):
         try:
             default = NODE_DEFAULTS.get(field.name, field.default)

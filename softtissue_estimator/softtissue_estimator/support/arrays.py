@@ -19,4 +19,5 @@ def save_arrays(target: Path | IO[bytes], arrays: Mapping[str, NDArray[Any]]) ->
     objects = [name for name, array in arrays.items() if np.asarray(array).dtype.hasobject]
     if objects:
         raise ValueError(f"expected arrays of numbers or text, got Python objects in {', '.join(objects)}")
-    np.savez(target, **arrays)
+    named: dict[str, Any] = dict(arrays)
+    np.savez(target, **named)

@@ -110,7 +110,7 @@ class Node:
     def __init__(self, world):
         self.world, self.callbacks = world, {}
 
-    def create_subscription(self, _kind, topic, callback, _qos, **_events):
+    def create_subscription(self, _kind, topic, callback, **_options):
         self.callbacks[topic] = callback
         return SimpleNamespace(topic_name=topic)
 

@@ -23,8 +23,8 @@ class Node:
     def __init__(self):
         self.subscriptions, self.offers = [], {PLAIN: [], UNCERTAIN: []}
 
-    def create_subscription(self, kind, topic, callback, qos):
-        self.subscriptions.append(SimpleNamespace(topic_name=topic, callback=callback, qos=qos))
+    def create_subscription(self, kind, topic, callback, qos_profile, **_options):
+        self.subscriptions.append(SimpleNamespace(topic_name=topic, callback=callback, qos=qos_profile))
         return self.subscriptions[-1]
 
     def destroy_subscription(self, subscription):

@@ -19,6 +19,7 @@ from softtissue_estimator.ros.inputs.kinds import Company, Kind, Kinds
 from softtissue_estimator.ros.inputs.pairing import Outcome, StampMatcher, Waiting
 from softtissue_estimator.ros.inputs.registration import Registration
 from softtissue_estimator.ros.inputs.registration_topics import RegistrationTopics
+from softtissue_estimator.ros.inputs.topic_quality import overridable
 from softtissue_estimator.ros.inputs.watchdog import TRANSPORT_HINT
 
 # Depth 1: an old cloud is worth nothing. Correspondences may arrive a few messages before their cloud.
@@ -78,12 +79,15 @@ class Intake:
         self.newest_cloud: PointCloud2 | None = None
         events = SubscriptionEventCallbacks(incompatible_qos=self._warn_incompatible)
         self._pairs = node.create_subscription(
-            Correspondences, "correspondences", self._take_correspondences, CORRESPONDENCES_QOS
+            Correspondences,
+            "correspondences",
+            self._take_correspondences,
+            **overridable(CORRESPONDENCES_QOS),
         )
         self._registrations = RegistrationTopics(node, registration, organ_frame, on_warning)
         # Last: who waits for this subscription to appear can rely on the others.
         self._clouds = node.create_subscription(
-            PointCloud2, "surface_points", self._take_cloud, CLOUD_QOS, event_callbacks=events
+            PointCloud2, "surface_points", self._take_cloud, event_callbacks=events, **overridable(CLOUD_QOS)
         )
         self._kinds = Kinds(matching, Company(self.publishers, self._publishers_of_pairs), time.monotonic)
         self._kinds.look()

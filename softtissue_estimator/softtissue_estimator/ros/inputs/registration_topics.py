@@ -10,6 +10,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.inputs.camera_poses import TOPIC as CAMERA_TOPIC
 from softtissue_estimator.ros.inputs.registration import Registration
+from softtissue_estimator.ros.inputs.topic_quality import overridable
 
 REGISTRATION_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 # Clouds are late: the pose that the camera had at their stamp may have come many messages ago.
@@ -80,7 +81,7 @@ class _Topic:
         self._node, self._kind, self._name = node, kind, name
         self._put, self._on_warning = put, on_warning
         self.offered = self.kept = False
-        self._subscriptions = [node.create_subscription(kind, name, self._take, qos)]
+        self._subscriptions = [node.create_subscription(kind, name, self._take, **overridable(qos))]
 
     def look_for_kept(self) -> None:
         offers = self._node.get_publishers_info_by_topic(self._subscriptions[0].topic_name)
