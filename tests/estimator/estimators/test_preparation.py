@@ -54,7 +54,8 @@ def test_answers_are_those_of_an_organ_prepared_here(request_, name):
     here, there = prepare(request_, lambda _: None), prepare_elsewhere(request_, lambda _: None)
     assert there.organ.digest == here.organ.digest
     first, second = answer(here, config), answer(there, config)
-    np.testing.assert_allclose(second.displacement, first.displacement, rtol=0, atol=1e-7)
+    # The other process has one thread, and so another order of sums.
+    np.testing.assert_allclose(second.displacement, first.displacement, rtol=0, atol=2e-6)
     if name != "paper":  # which says nothing about its error
         np.testing.assert_allclose(second.sigma, first.sigma, rtol=0, atol=1e-7)
     assert np.linalg.norm(first.displacement, axis=1).max() > 0.005

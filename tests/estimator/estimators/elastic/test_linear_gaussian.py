@@ -170,7 +170,11 @@ def test_equal_variances_move_the_observed_nodes_as_far_as_expected():
 def test_more_points_are_summed_up_exactly():
     data = observed(noise=0.002)
     one = told(data)
-    two = told(np.concatenate([data] * 2), np.sqrt(2.0) * SIGMA_M, ObservedPlaces(vstack([OBSERVE] * 2), CPU))
+    two = told(
+        np.concatenate([data] * 2),
+        np.sqrt(2.0) * SIGMA_M,
+        ObservedPlaces(vstack([OBSERVE] * 2, format="csr"), CPU),
+    )
     for first, second in zip(
         (one.nodes, one.normal, one.right),
         (two.nodes, two.normal, two.right),
