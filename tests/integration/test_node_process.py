@@ -1,6 +1,7 @@
 """The node as a process: signals, exit codes, life cycle, services and what it does when clouds come too fast."""
 
 import itertools
+import re
 import signal
 import sys
 import time
@@ -24,6 +25,7 @@ from integration.harness import (
     Client,
     NodeProcess,
     Scene,
+    executable,
     nanoseconds,
     read_answer,
     registration_message,
@@ -31,6 +33,7 @@ from integration.harness import (
 )
 from memory_pools import pools_of
 from ros_domain import reserved
+from softtissue_estimator.support.resources import bundled_bag
 
 stamps = itertools.count(1_700_000_000_000_000_000, 50_000_000)
 SLOW = [sys.executable, str(Path(__file__).with_name("slow_node.py"))]
@@ -307,6 +310,26 @@ def test_registration_kept_by_its_publisher_reaches_a_node_that_starts_later(slo
                 return client.answers
 
             client.wait(answered, "answer to a registered cloud", 10.0)
+
+
+def test_clouds_of_a_bag_that_does_not_wait_are_counted_or_told(slow, tmp_path, domain):
+    with slow(domain, 0.0) as node, Client(domain) as client:
+        client.wait_until_connected()
+        client.node.destroy_publisher(client.clouds)
+        (tmp_path / "replay").mkdir()
+        fast = [executable("replay"), bundled_bag(), "--rate", "4", "--subscribers", "0"]
+        with NodeProcess(domain, tmp_path / "replay", {}, fast) as player:
+            assert player.wait(60.0) == 0, player.text
+
+        def received():
+            return client.statuses[-1].frames_received if client.statuses else 0
+
+        def unheard():
+            told = re.search(r"(\d+) were sent before it was discovered", node.text)
+            return int(told[1]) if told else 0
+
+        client.wait(lambda: received() + unheard() == 100, "count of all clouds", 10.0)
+        assert received() > 0
 
 
 def test_announced_clouds_that_do_not_arrive_are_reported(slow, domain):

@@ -48,7 +48,15 @@ def counted():
             intake._take_cloud(PAIRS, info)
         return counters.counts.received, counters.counts.dropped
 
+    take.said = said
     return take
+
+
+def test_publisher_that_is_discovered_late_is_told_in_a_sentence(counted):
+    assert counted([KINECT], told(58, KINECT), told(60, KINECT)) == (2 + 1, 1)
+    first, second = counted.said
+    assert "got number 58 first; 57 were sent before it was discovered and are not counted" in first
+    assert "got a gap of 1, counted as dropped" in second
 
 
 def told(sequence, gid=None):

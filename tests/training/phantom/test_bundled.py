@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability
 
 from softtissue_estimator.organ.mesh import enclosed_volume, vertex_areas
 from softtissue_estimator.organ.organ import load_organ
@@ -50,6 +51,15 @@ def test_bag_holds_a_hundred_frames_at_ten_hertz(clouds):
     assert len(stamps) == 100
     assert clouds["/markers_truth"].keys() == clouds["/surface_points"].keys()
     assert clouds["/organ_truth"].keys() <= clouds["/surface_points"].keys()
+
+
+def test_bag_keeps_its_registration_for_late_comers():
+    with AnyReader([bundled_bag()]) as reader:
+        offered = {
+            c.topic: [qos.durability for qos in c.ext.offered_qos_profiles] for c in reader.connections
+        }
+    assert offered.pop("/registration") == [QosDurability.TRANSIENT_LOCAL]
+    assert [*offered.values()] == [[]] * 3
 
 
 def test_markers_move_two_to_five_centimetres_at_the_peak(clouds):

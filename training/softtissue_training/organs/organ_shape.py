@@ -135,7 +135,7 @@ def random_organ_surface(
         rng.uniform(0.025, 0.060, size=_PUSHES),
         rng.normal(scale=0.006, size=(_PUSHES, 3)),
     )
-    points = Rotation.random(rng=rng).apply(points)
+    points = Rotation.random(random_state=rng).apply(points)
 
     fine = _centred(SurfaceMesh(points, faces))
     _check_size(fine)

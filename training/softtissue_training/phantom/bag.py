@@ -55,7 +55,7 @@ class BagWriter(MessageWriter):
         super().__enter__()
         for topic in (POINTS_TOPIC, MARKERS_TOPIC, ORGAN_TOPIC):
             self.connect(topic, "sensor_msgs/msg/PointCloud2")
-        self.connect(REGISTRATION_TOPIC, "geometry_msgs/msg/TransformStamped")
+        self.connect(REGISTRATION_TOPIC, "geometry_msgs/msg/TransformStamped", kept=True)
         return self
 
     def registration(self, pose: Pose, time: float) -> None:

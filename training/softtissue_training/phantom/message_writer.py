@@ -7,7 +7,15 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Connection, Qos
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -19,6 +27,18 @@ START_NS = 1_767_225_600_000_000_000
 """Stamp of the recording's start, ns: midnight of 1 January 2026, UTC."""
 
 POSITION = ("x", "y", "z")
+_FOREVER = QosTime(0, 0)  # as rmw writes a duration that is not set
+_KEPT = Qos(
+    QosHistory.KEEP_LAST,
+    1,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    _FOREVER,
+    _FOREVER,
+    QosLiveliness.AUTOMATIC,
+    _FOREVER,
+    False,
+)
 _DATATYPES = {"|u1": 2, "<u4": 6, "<f4": 7}  # of sensor_msgs/PointField
 
 
@@ -53,9 +73,17 @@ class MessageWriter:
     def __exit__(self, *exception: object) -> None:
         self._writer.close()
 
-    def connect(self, topic: str, kind: str) -> None:
-        """Announce a topic with messages of one type (such as `sensor_msgs/msg/PointCloud2`)."""
-        profiles: tuple[Qos, ...] = ()
+    def connect(self, topic: str, kind: str, *, kept: bool = False) -> None:
+        """Announce a topic with messages of one type (such as `sensor_msgs/msg/PointCloud2`).
+
+        Parameters
+        ----------
+        topic, kind
+            Its name, and its type.
+        kept
+            Whether who plays the bag keeps the newest message for late comers (transient-local).
+        """
+        profiles = (_KEPT,) if kept else ()
         self._connections[topic] = self._writer.add_connection(
             topic, kind, typestore=self.typestore, offered_qos_profiles=profiles
         )

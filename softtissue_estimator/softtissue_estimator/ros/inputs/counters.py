@@ -42,6 +42,22 @@ class FrameCounters:
             return replace(self._counts)
 
 
+@dataclass(frozen=True)
+class Missing:
+    """Numbers of messages that did not arrive before one that did.
+
+    Attributes
+    ----------
+    lost : int
+        Those that count as dropped.
+    unheard : int
+        Those that a new publisher had sent before it was discovered, where they are too many to be called lost.
+    """
+
+    lost: int = 0
+    unheard: int = 0
+
+
 class LossCounter:
     """Notices clouds lost on the way by gaps in a publisher's sequence numbers, which begin at 1.
 
@@ -59,9 +75,12 @@ class LossCounter:
         self._known = frozenset(known)
         self._last: dict[bytes, int] = {}
 
-    def lost_before(self, publisher: bytes, sequence: int) -> int:
+    def missing_before(self, publisher: bytes, sequence: int) -> Missing:
         """Return how many messages of a publisher are missing before the one with this number."""
-        new = publisher not in self._known and sequence <= self._START
-        last = self._last.get(publisher, 0 if new else sequence)
+        last = self._last.get(publisher)
         self._last[publisher] = sequence
-        return max(0, sequence - last - 1)
+        if last is not None:
+            return Missing(lost=max(0, sequence - last - 1))
+        if publisher in self._known:
+            return Missing()
+        return Missing(lost=sequence - 1) if sequence <= self._START else Missing(unheard=sequence - 1)

@@ -150,13 +150,19 @@ class Intake:
         publisher, sequence = self._publisher_of(info), info.get("publication_sequence_number")
         if publisher is None or sequence is None:
             return 0
-        lost = self._losses.lost_before(publisher, int(sequence))
-        if lost:
+        missing = self._losses.missing_before(publisher, int(sequence))
+        if missing.lost:
             self._on_warning(
-                f"{self.topic}: expected every cloud of its publisher, got a gap of {lost}, counted as dropped;"
+                f"{self.topic}: expected every cloud of its publisher, got a gap of {missing.lost}, counted as dropped;"
                 f" if this goes on and they are large, {TRANSPORT_HINT}"
             )
-        return lost
+        elif missing.unheard:
+            self._on_warning(
+                f"{self.topic}: expected the clouds of a new publisher from the first on, got number {sequence} first;"
+                f" {missing.unheard} were sent before it was discovered and are not counted"
+                " (a bag waits with `ros2 bag play --delay 2`)"
+            )
+        return missing.lost
 
     def _publisher_of(self, info: dict[str, Any]) -> bytes | None:
         """Return who sent a cloud; None where that is unknown."""

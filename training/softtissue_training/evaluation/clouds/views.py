@@ -104,7 +104,7 @@ def view_of(sample: Sample, rng: np.random.Generator, limits: ViewLimits | None 
 
 def _random_pose(organ: SurfaceMesh, rng: np.random.Generator) -> Pose:
     """Draw a camera that looks at the organ from outside, turned anyhow."""
-    axes = Rotation.random(rng=rng).as_matrix()
+    axes = Rotation.random(random_state=rng).as_matrix()
     forward = axes[:, 2]
     aim = organ.vertices.mean(axis=0) + axes[:, :2] @ rng.normal(0.0, _AIM_ASIDE_M, 2)
     nearest = float(((organ.vertices - aim) @ -forward).max())
