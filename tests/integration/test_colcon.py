@@ -3,7 +3,7 @@
 import os
 import re
 import subprocess
-import sysconfig
+import sys
 import venv
 from pathlib import Path
 
@@ -40,7 +40,8 @@ def test_executables_are_started_with_the_python_of_the_active_environment(tmp_p
     environment = tmp_path / "environment"
     venv.create(environment, symlinks=True)
     (packages,) = environment.glob("lib/python3*/site-packages")
-    (packages / "of_the_system.pth").write_text(sysconfig.get_path("purelib"), encoding="utf-8")
+    of_the_system = "\n".join(folder for folder in sys.path if folder.endswith("site-packages"))
+    (packages / "of_the_system.pth").write_text(of_the_system, encoding="utf-8")
     (packages / "says_where.pth").write_text("import sys; print(sys.prefix)", encoding="utf-8")
     active = os.environ | {"PATH": f"{environment}/bin:{os.environ['PATH']}", "VIRTUAL_ENV": str(environment)}
     build = ["colcon", "build", "--base-paths", SOURCES, "--packages-select", PACKAGES[0], *options]
