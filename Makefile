@@ -7,7 +7,7 @@ PYTHON ?= python3.11
 ROS ?= kilted
 # For example: make test TESTS=tests/estimator PYTEST_ARGS="-k organ -x"; make demo DEMO_ARGS=--help.
 TESTS ?= $(if $(filter kilted,$(ROS)),tests,tests/integration)
-NUMPY1_TESTS := $(if $(filter command line environment,$(origin TESTS)),$(TESTS),tests/estimator tests/node)
+NUMPY1_TESTS := $(if $(filter command line environment,$(origin TESTS)),$(TESTS),tests/estimator tests/node tests/integration/test_colcon.py)
 PYTEST_ARGS ?=
 DEMO_ARGS ?=
 # make bench QUICK=1: at most five minutes; BENCH_ARGS=--help.

@@ -128,6 +128,25 @@ def test_run_without_a_command_says_how_it_is_used():
     assert result.stderr.startswith("usage: scripts/run [--alone] COMMAND")
 
 
+@pytest.mark.parametrize(("ros", "hint"), [("kilted", "make build"), ("nowhere", "make build ROS=nowhere")])
+def test_environment_that_is_not_built_says_how_it_is(tmp_path, ros, hint):
+    (tmp_path / "scripts").mkdir()
+    shutil.copy(SCRIPTS / "env.sh", tmp_path / "scripts")
+    result = subprocess.run(
+        ["bash", "-c", "source scripts/env.sh"], cwd=tmp_path, env=os.environ | {"SOFTTISSUE_ROS": ros},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert result.returncode == 1
+    assert result.stderr.endswith(f" does not exist; run '{hint}' first.\n")
+
+
+def test_distribution_that_there_is_not_is_refused_in_a_sentence():
+    make = ["make", "--dry-run", "test", "ROS=humble"]
+    result = subprocess.run(make, cwd=SCRIPTS.parent, capture_output=True, text=True, check=False)
+    assert result.returncode == 2
+    assert "expected ROS=kilted or ROS=jazzy, got ROS=humble" in result.stderr
+
+
 def compile_library(path, source, *libraries):
     code = path.with_suffix(".cpp")
     code.write_text(source, encoding="utf-8")
