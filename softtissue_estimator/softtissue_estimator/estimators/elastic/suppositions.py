@@ -11,12 +11,10 @@ from softtissue_estimator.estimators.elastic.registration_filter import Registra
 from softtissue_estimator.estimators.elastic.solver import Solver
 
 DRIFT_SHARE = 0.3  # how far a registration may have moved unnoticed, over the largest error that is expected
-LEAST_GAIN, UNDECIDED_GAIN = 3.0, 20.0
-"""Which gain of the log-evidence over every other supposition shows one; and over the simplest, where others explain as
-much. Until then it is waited for: what moves on tells them apart. Chosen on three moving organs of a training seed,
-where exact streams lose at least 1.3 and those that drift by 6 mm gain 5 to 140 in time, the attachment's motion at
-most 2.3 more; those that are attached elsewhere gain 15 to 330 by that, and 4 to 50 more than by a drift."""
-
+LEAST_GAIN = 3.0
+"""Which gain of the log-evidence over all that is simpler shows a supposition. Chosen on three moving organs of a
+training seed, where exact streams lose at least 1.3 and those that drift by 6 mm gain 5 to 140 in time, if what holds
+moves at most 2.3 more; those that are attached elsewhere gain 15 to 330 by that, and 4 to 50 more than by a drift."""
 LEAST_GAIN_ALONE = 6.0
 """The same for a frame alone, whose registration no frame before has shown. Of 14 organs of training seeds none that
 was told right gained more than 0.4, and 10 that are attached elsewhere gained 9 to 53."""
@@ -37,7 +35,7 @@ def revised(solver: Solver, posterior: Posterior, registration: RegistrationFilt
         # The registration may have been thought to move for the same reason.
         suppositions.append((registration.unmoved, True))
     evidence = [solver.afresh(part, *supposition, few).log_evidence for supposition in suppositions]
-    shown = decided(evidence, LEAST_GAIN if registration.moved else UNDECIDED_GAIN)
+    shown = decided(evidence)
     return solver.afresh(posterior, *suppositions[shown]) if shown else posterior
 
 
@@ -61,22 +59,13 @@ def freed(solver: Solver, posterior: Posterior) -> tuple[Solver, Posterior]:
     return solver.supposing(attachment_moves=True), solver.afresh(posterior, known, attachment_moves=True)
 
 
-def decided(evidence: list[float], undecided_gain: float) -> int:
-    """Return the number of the supposition that the evidence shows; that of the first, the simplest, where none.
-
-    Parameters
-    ----------
-    evidence : list of float
-        Of each supposition.
-    undecided_gain : float
-        Over the first, with which another one is taken although a later one explains as much.
-    """
-    best = max(range(len(evidence)), key=evidence.__getitem__)
-    others = [value for number, value in enumerate(evidence) if number != best]
-    if evidence[best] >= max(others) + LEAST_GAIN:
-        return best
-    enough = (number for number, value in enumerate(evidence) if value - evidence[0] >= undecided_gain)
-    return next(enough, 0)
+def decided(evidence: list[float]) -> int:
+    """Return the number of the supposition that the log-evidence of each, from the simplest on, shows."""
+    best = 0
+    for number, value in enumerate(evidence):
+        if value >= evidence[best] + LEAST_GAIN:
+            best = number
+    return best
 
 
 def _held(solver: Solver, posterior: Posterior) -> bool:
