@@ -30,7 +30,7 @@ def bundled(name: str) -> set[str]:
     """Libraries that a package brings along in a folder of its own, without hashes and versions."""
     files = [str(file) for file in distribution(name).files or []]
     found = [file for file in files if re.search(r"\.libs/|^torch/lib/", file) and ".so" in file]
-    return {re.sub(r"(-[0-9a-f]{8})*\.so.*", "", file.rpartition("/")[2]) for file in found}
+    return {re.sub(r"(-[0-9a-f]{8})*(\.\d+)*\.so.*", "", file.rpartition("/")[2]) for file in found}
 
 
 def brings_gpl_text(name: str) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 from softtissue_estimator.errors import InvalidInputError
 
 
-def _setting(
+def setting(
     default: Any,
     description: str,
     *,
@@ -16,6 +16,7 @@ def _setting(
     limits: tuple[float, float] | None = None,
     choices: tuple[str, ...] | None = None,
 ) -> Any:
+    """Return a field of a frozen dataclass of settings, with what parameters are derived from."""
     metadata = {"unit": unit, "range": limits, "choices": choices, "description": description}
     return dataclasses.field(default=default, metadata=metadata)
 
@@ -33,33 +34,33 @@ class EstimatorConfig:
         If a value is of the wrong type, outside its range or not one of the choices.
     """
 
-    estimator: str = _setting(
+    estimator: str = setting(
         "elastic",
         "Which estimator answers: 'elastic', 'hybrid' (elastic and a network), 'paper' (U-Net) or a registered one.",
     )
-    organ: str = _setting("", "Folder with organ.yaml; empty for the bundled phantom liver.")
-    organ_root: tuple[str, ...] = _setting(
+    organ: str = setting("", "Folder with organ.yaml; empty for the bundled phantom liver.")
+    organ_root: tuple[str, ...] = setting(
         ("",),
         "Folders outside of which no organ and no file of one is read; an empty name stands for the bundled organs "
         "and the folder in which the configured organ lies. Can only be given at the start.",
     )
-    checkpoint: str = _setting("", "Network weights (safetensors); empty for the bundled ones.")
-    device: str = _setting(
+    checkpoint: str = setting("", "Network weights (safetensors); empty for the bundled ones.")
+    device: str = setting(
         "auto", "Where the network runs; 'auto' takes a GPU if there is one.", choices=("auto", "cuda", "cpu")
     )
-    precision: str = _setting(
+    precision: str = setting(
         "auto",
         "Floating-point format of the network's convolutions; 'auto' takes float16 where the device computes in it, "
         "else float32. Used by 'hybrid' and 'paper'.",
         choices=("auto", "float32", "bfloat16", "float16"),
     )
-    autostart: bool = _setting(True, "Configure and activate the node without being asked.")
-    tracking: bool = _setting(
+    autostart: bool = setting(True, "Configure and activate the node without being asked.")
+    tracking: bool = setting(
         False,
         "Start every answer from the one before and improve it between frames, as the node does by default; otherwise "
         "every frame is answered on its own. Used by 'elastic' and 'hybrid'.",
     )
-    tracking_patience_s: float = _setting(
+    tracking_patience_s: float = setting(
         0.02,
         "With tracking, how long an answer waits at most for what is found out between frames, where that takes longer "
         "than on two idle cores. If it is never reached, the same clouds have the same answers. Used by 'elastic' and "
@@ -67,53 +68,53 @@ class EstimatorConfig:
         unit="s",
         limits=(0.0, 3600.0),
     )
-    matching: str = _setting(
+    matching: str = setting(
         "auto",
         "How clouds are matched with the preoperative surface: 'given' by correspondences that come with them, "
         "'tracks' by a field `id`, 'closest' by the nearest surface whatever they carry; 'auto' by what each carries.",
         choices=("auto", "given", "tracks", "closest"),
     )
-    organ_label: int = _setting(
+    organ_label: int = setting(
         -1,
         "Value of a cloud's field `label` that says that a point is of the organ; others are left out of a cloud "
         "without correspondences. -1: the field says nothing.",
         limits=(-1, 2**31 - 1),
     )
-    viewpoint: str = _setting(
+    viewpoint: str = setting(
         "auto",
         "From where a cloud without correspondences was seen: 'camera' is the origin of its frame, 'none' unknown; "
         "'auto' is 'camera' for clouds of a camera whose pose is told, and in frames whose name ends in _optical or "
         "_optical_frame.",
         choices=("auto", "camera", "none"),
     )
-    default_sigma_m: float = _setting(
+    default_sigma_m: float = setting(
         0.001,
         "Standard deviation of each component of a correspondence that states none, and of a point without one.",
         unit="m",
         limits=(1e-5, 0.05),
     )
-    max_displacement_m: float = _setting(
+    max_displacement_m: float = setting(
         0.15,
         "Correspondences that moved further than this are rejected, and points without one that far off the organ.",
         unit="m",
         limits=(0.001, 1.0),
     )
-    max_reference_distance_m: float = _setting(
+    max_reference_distance_m: float = setting(
         0.01,
         "Correspondences whose preoperative point is further than this from the organ's surface are rejected.",
         unit="m",
         limits=(0.0005, 0.03),
     )
-    minimum_points: int = _setting(
+    minimum_points: int = setting(
         3, "Fewest usable correspondences for an answer.", unit="points", limits=(3, 100_000)
     )
-    minimum_visible_fraction: float = _setting(
+    minimum_visible_fraction: float = setting(
         0.05, "Below this visible share of the surface, the status is DEGRADED.", limits=(0.0, 1.0)
     )
-    maximum_rejected_fraction: float = _setting(
+    maximum_rejected_fraction: float = setting(
         0.5, "Above this share of rejected correspondences, the status is DEGRADED.", limits=(0.0, 1.0)
     )
-    maximum_sigma_m: float = _setting(
+    maximum_sigma_m: float = setting(
         0.005,
         "Where the standard deviation of any vertex of a structure exceeds this, the status is DEGRADED and names the "
         "structure. Twice the default is the margin of 10 mm that surgeons commonly leave around a tumour: beyond it a "
@@ -121,30 +122,30 @@ class EstimatorConfig:
         unit="m",
         limits=(0.0001, 1.0),
     )
-    frame_budget_s: float = _setting(
+    frame_budget_s: float = setting(
         0.1, "A frame that takes longer than this makes the status DEGRADED.", unit="s", limits=(0.001, 60.0)
     )
-    no_data_timeout_s: float = _setting(
+    no_data_timeout_s: float = setting(
         2.0, "Without a usable cloud for this long, the status says so.", unit="s", limits=(0.1, 3600.0)
     )
-    registration_source: str = _setting(
+    registration_source: str = setting(
         "given",
         "Where the registration comes from: 'given' by messages or tf2; with 'auto' the node also searches for the "
         "organ in bare clouds, where none is given and after the organ was lost.",
         choices=("given", "auto"),
     )
-    use_tf: bool = _setting(
+    use_tf: bool = setting(
         True,
         "Ask tf2, where it is installed, for the organ's pose when no registration has arrived. Can only be given at "
         "the start.",
     )
-    tf_timeout_s: float = _setting(
+    tf_timeout_s: float = setting(
         0.1,
         "How long a cloud waits for a transform, or a camera's pose, at its stamp; other clouds go on meanwhile.",
         unit="s",
         limits=(0.0, 2.0),
     )
-    registration_max_age_s: float = _setting(
+    registration_max_age_s: float = setting(
         0.5,
         "A pose that moves may be this much older than its cloud: of tf2 or `camera_pose` such an answer is DEGRADED, "
         "and a cloud is refused beyond it; of a registration answers are DEGRADED beyond it. Static transforms and "
@@ -152,61 +153,61 @@ class EstimatorConfig:
         unit="s",
         limits=(0.0, 3600.0),
     )
-    broadcast_registration: bool = _setting(
+    broadcast_registration: bool = setting(
         False,
         "Send the pose of `~/registration` on /tf, with every answer whose registration came by a topic; needs "
         "tf2_msgs.",
     )
-    poisson_ratio: float = _setting(
+    poisson_ratio: float = setting(
         0.35, "Poisson's ratio that is expected of the organ, used by 'elastic'.", limits=(0.0, 0.49)
     )
-    poisson_ratio_sigma: float = _setting(
+    poisson_ratio_sigma: float = setting(
         0.1,
         "Its standard deviation: within twice as much the observation decides; 0 where it is known. Used by 'elastic'.",
         limits=(0.0, 0.2),
     )
-    prior_sigma_m: float = _setting(
+    prior_sigma_m: float = setting(
         0.015,
         "How far visible points are expected to move, before any observation; used by 'elastic'.",
         unit="m",
         limits=(0.0005, 0.1),
     )
-    model_sigma_m: float = _setting(
+    model_sigma_m: float = setting(
         0.0003,
         "Least error of the elastic model itself, which points of one small neighbourhood share; used by 'elastic'.",
         unit="m",
         limits=(1e-5, 0.01),
     )
 
-    registration_sigma_m: float = _setting(
+    registration_sigma_m: float = setting(
         0.005,
         "Standard deviation of each component of the registration's translation, at the organ's centre: the largest "
         "that is expected. Used by 'elastic'.",
         unit="m",
         limits=(1e-5, 0.05),
     )
-    registration_sigma_rad: float = _setting(
+    registration_sigma_rad: float = setting(
         0.05,
         "Standard deviation of the registration's rotation about each axis: the largest that is expected. Used by "
         "'elastic'.",
         unit="rad",
         limits=(1e-5, 0.5),
     )
-    sensor_bias_m: float = _setting(
+    sensor_bias_m: float = setting(
         0.002,
         "Standard deviation of a smooth error of the sensor along the surface's normal, at most, where a cloud has no "
         "correspondences. Used by 'elastic'.",
         unit="m",
         limits=(0.0001, 0.02),
     )
-    track_slide_m_s: float = _setting(
+    track_slide_m_s: float = setting(
         0.0005,
         "How fast tracks (clouds with a field `id`) slide along the surface: growth of the standard deviation of each "
         "component of a track's place on the organ, from when it is first seen. Used by 'elastic' with `tracking`.",
         unit="m/s",
         limits=(0.0, 0.1),
     )
-    attachment_length_m: float = _setting(
+    attachment_length_m: float = setting(
         0.002,
         "Attached surface is held as by tissue of this thickness; more where it is uncertain what is attached. Used by "
         "'elastic'.",
@@ -215,8 +216,19 @@ class EstimatorConfig:
     )
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            _check(field, getattr(self, field.name))
+        check_settings(self)
+
+
+def check_settings(settings: Any) -> None:
+    """Check the fields of a dataclass that `setting` made.
+
+    Raises
+    ------
+    InvalidInputError
+        If a value is of the wrong type, outside its range or not one of the choices.
+    """
+    for field in dataclasses.fields(settings):
+        _check(field, getattr(settings, field.name))
 
 
 def _check(field: "dataclasses.Field[Any]", value: Any) -> None:

@@ -1,0 +1,1 @@
+"""The structures drawn on a camera's image."""

@@ -1,0 +1,144 @@
+"""A part of an image in which structures are drawn, with its buffers."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softtissue_estimator.overlay.camera import Camera
+from softtissue_estimator.overlay.rasteriser import fill_depth, fill_triangles
+from softtissue_estimator.overlay.scene import FloatArray, Numbers
+from softtissue_estimator.overlay.strokes import CELL, draw_contour, draw_outlines, find_strength, mix
+
+Image = NDArray[np.uint8]
+Floats = NDArray[np.float32]
+
+COARSER = 4
+"""Pixels of the image along a side of one in which the organ's surface, which is smooth, is drawn."""
+WIDEST_SHARE = 0.08
+"""Of the image's rows: the half width of the widest band."""
+_REFERENCE_ROWS = 480  # of an image on which lines have their least width
+_LINE_PX = 1.0  # half width of a line there
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """The part of the image in which anything is drawn: columns and rows from `left` and `top` on."""
+
+    left: int
+    top: int
+    columns: int
+    rows: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.rows, self.columns
+
+    def of(self, image: Image) -> Image:
+        """Return this part of an image, as a view."""
+        return image[self.top : self.top + self.rows, self.left : self.left + self.columns]
+
+
+class Drawing:
+    """Buffers of a window, and what is drawn into them."""
+
+    def __init__(self, window: Window, camera: Camera, structures: int) -> None:
+        self._window, self._camera = window, camera
+        self._structures = structures
+        self._labels = np.zeros(window.shape, np.uint8)
+        self._nearness = np.zeros(window.shape, np.float32)
+        self._drawn = np.empty((*window.shape, 2), np.float32)
+        self._strength = np.zeros(window.shape, np.float32)
+        self._cover = np.zeros(window.shape, np.float32)
+        self._owner = np.zeros(window.shape, np.uint8)
+
+    @property
+    def covered(self) -> NDArray[np.bool_]:
+        """Pixels (rows, columns) of the window on which anything is drawn."""
+        return np.asarray((self._labels > 0) | (self._cover > 0.0))
+
+    def add(self, pixels: FloatArray, faces: Numbers, values: Floats, label: int) -> None:
+        """Draw a structure into the depth buffer; `pixels` (n, 3) are columns, rows and depths (m)."""
+        fill_triangles(self._placed(pixels), faces, values, label, self._labels, self._nearness, self._drawn)
+
+    def outline(self, surface: Floats) -> Numbers:
+        """Outline what was added; return where each label is (`find_strength`)."""
+        window, camera = self._window, self._camera
+        lens = np.array([*camera.matrix[:2, 2], camera.focal], dtype=np.float32)
+        extents = np.zeros((self._structures + 1, 5), np.int32)
+        find_strength(
+            self._labels,
+            self._nearness,
+            surface,
+            window.left,
+            window.top,
+            COARSER,
+            lens,
+            self._strength,
+            extents,
+        )
+        widest = WIDEST_SHARE * camera.rows
+        cells = np.zeros((window.rows // CELL + 1, window.columns // CELL + 1), np.uint8)
+        draw_outlines(
+            self._labels,
+            self._strength,
+            self._drawn,
+            line_px(camera),
+            widest,
+            self._cover,
+            self._owner,
+            cells,
+        )
+        return extents
+
+    def add_contour(
+        self,
+        pixels: FloatArray,
+        faces: Numbers,
+        label: int,
+        strength: float,
+        dashes: int,
+        half_width: float,
+    ) -> None:
+        """Draw a line round a structure alone (`draw_contour`)."""
+        alone = np.zeros(self._window.shape, np.float32)
+        fill_depth(self._placed(pixels), faces, alone)
+        draw_contour(alone, label, strength, dashes, half_width, self._cover, self._owner)
+
+    def onto(self, image: Image, colours: FloatArray) -> None:
+        """Mix everything with an image; `colours` (s, 3), 0 to 1, in its order."""
+        table = np.zeros((len(colours) + 1, 3), np.float32)
+        table[1:] = 255.0 * colours
+        part = self._window.of(image)
+        mix(part, self._labels, self._strength, self._drawn, self._cover, self._owner, table)
+
+    def _placed(self, pixels: FloatArray) -> Floats:
+        return with_nearness(pixels, self._window.left, self._window.top)
+
+
+def with_nearness(pixels: FloatArray, left: float, top: float, coarser: int = 1) -> Floats:
+    """Make columns, rows and nearness (n, 3), in a window of coarser pixels, of columns, rows and depths."""
+    placed = np.empty(pixels.shape, np.float32)
+    half = 0.5 * (coarser - 1)  # of a coarse pixel the centre, in fine ones
+    placed[:, 0] = (pixels[:, 0] - left - half) / coarser
+    placed[:, 1] = (pixels[:, 1] - top - half) / coarser
+    placed[:, 2] = 1.0 / pixels[:, 2]
+    return placed
+
+
+def line_px(camera: Camera) -> float:
+    """Return half the width of lines, pixels."""
+    return float(_LINE_PX * max(1.0, camera.rows / _REFERENCE_ROWS) ** 0.5)
+
+
+def find_window(pixels: list[FloatArray], camera: Camera, edge: int) -> Window | None:
+    """Return the part of the image in which all of some pixels (n, 3) are, with an edge; None where none is."""
+    everything = np.concatenate(pixels)[:, :2]
+    everything = everything[np.isfinite(everything).all(axis=1)]
+    if not len(everything):
+        return None
+    left, top = np.maximum(np.floor(everything.min(axis=0)).astype(int) - edge, 0).tolist()
+    right, bottom = np.ceil(everything.max(axis=0)).astype(int) + edge
+    columns, rows = min(int(right) + 1, camera.columns) - left, min(int(bottom) + 1, camera.rows) - top
+    return Window(left, top, columns, rows) if columns > 0 and rows > 0 else None

@@ -1,0 +1,209 @@
+"""From where the structures are to an image that shows them."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from softtissue_estimator.overlay.camera import Camera
+from softtissue_estimator.overlay.drawing import (
+    COARSER,
+    WIDEST_SHARE,
+    Drawing,
+    Floats,
+    Image,
+    find_window,
+    line_px,
+    with_nearness,
+)
+from softtissue_estimator.overlay.labels import Label, write_labels
+from softtissue_estimator.overlay.rasteriser import fill_depth, vertex_normals
+from softtissue_estimator.overlay.scene import FloatArray, Numbers, Placed, Structures
+
+Order = Literal["rgb", "bgr"]
+
+TUMOUR = "tumour"
+_MARGIN_STRENGTH = 0.8
+_DASHES = 24
+
+
+@dataclass(frozen=True)
+class Outlined:
+    """A structure that is on the image.
+
+    Attributes
+    ----------
+    name : str
+    depth_m : float
+        Of its nearest point below the organ's surface, along the line of sight, m; NaN where that is not known.
+    pixels : int
+        That show it.
+    """
+
+    name: str
+    depth_m: float
+    pixels: int
+
+
+def paint(
+    image: Image,
+    camera: Camera,
+    structures: Structures,
+    placed: Placed,
+    *,
+    order: Order = "bgr",
+    margin_m: float = 0.0,
+    names: bool = True,
+) -> list[Outlined]:
+    """Draw structures on an image.
+
+    Nearer ones are drawn over those behind them. The deeper something is below the organ's surface, the fainter it is;
+    without the surface all is as strong as at it. Beside each outline is a band whose half width is one standard
+    deviation.
+
+    Parameters
+    ----------
+    image : (rows, columns, 3) uint8
+        Drawn on.
+    camera : Camera
+    structures : Structures
+    placed : Placed
+    order : "rgb" or "bgr"
+        Of the image's channels.
+    margin_m : float
+        Width of the margin round tumours whose contour is drawn, m; 0 for none.
+    names : bool
+        Whether names and depths are written, where there is place.
+
+    Returns
+    -------
+    list of Outlined
+        What is on the image, in the structures' order.
+    """
+    pixels = camera.project(placed.points)
+    normals = [_normals(placed.points[structures.part(n)], faces) for n, faces in enumerate(structures.faces)]
+    margins = _margins(camera, structures, placed, normals, margin_m)
+    reach = _reach_px(camera, placed.sigma, pixels)
+    window = find_window([pixels, *margins.values()], camera, int(max(reach, default=0.0)) + 4)
+    if window is None:
+        return []
+    surface = _surface(camera, structures, placed.surface)
+    values = np.stack([_shades(placed.points, normals), _sigma_px(camera, placed.sigma, pixels)], axis=1)
+    drawing = Drawing(window, camera, len(structures.names))
+    for number, faces in enumerate(structures.faces):
+        drawing.add(pixels[structures.part(number)], faces, values[structures.part(number)], number + 1)
+    extents = drawing.outline(surface)
+    for number, grown in margins.items():
+        drawing.add_contour(
+            grown, structures.faces[number], number + 1, _MARGIN_STRENGTH, _DASHES, line_px(camera)
+        )
+    drawing.onto(image, structures.colours if order == "rgb" else structures.colours[:, ::-1])
+    depths = _depths(camera, structures, placed.points, pixels, surface)
+    shown = [
+        Outlined(name, depth, int(extents[number + 1, 4]))
+        for number, (name, depth) in enumerate(zip(structures.names, depths, strict=True))
+    ]
+    if names:
+        colours = structures.colours if order == "rgb" else structures.colours[:, ::-1]
+        labels = [
+            Label(
+                _said(one), tuple(extents[n + 1, :4] + [window.left, window.left, window.top, window.top]), c
+            )
+            for n, (one, c) in enumerate(zip(shown, colours, strict=True))
+            if one.pixels
+        ]
+        write_labels(image, labels, (window.left, window.top), drawing.covered)
+    return [one for one in shown if one.pixels]
+
+
+def outline(
+    image: Image,
+    camera: Camera,
+    structures: Structures,
+    points: FloatArray,
+    colour: tuple[int, int, int],
+    *,
+    dashes: int = 0,
+) -> None:
+    """Draw a thin line of one colour (in the image's order) round each structure at `points` (n, 3) m, seen alone."""
+    pixels = camera.project(points)
+    window = find_window([pixels], camera, 4)
+    if window is None:
+        return
+    drawing = Drawing(window, camera, len(structures.names))
+    for number, faces in enumerate(structures.faces):
+        drawing.add_contour(pixels[structures.part(number)], faces, number + 1, 1.0, dashes, 0.5)
+    drawing.onto(image, np.tile(np.array(colour) / 255.0, (len(structures.names), 1)))
+
+
+def _normals(points: FloatArray, faces: Numbers) -> Floats:
+    normals = np.empty(points.shape, np.float32)
+    vertex_normals(points.astype(np.float32), faces, normals)
+    return normals
+
+
+def _shades(points: FloatArray, normals: list[Floats]) -> Floats:
+    """How much each vertex faces the camera, 0 to 1."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        away = points / np.linalg.norm(points, axis=1, keepdims=True)
+        towards = np.abs(
+            np.einsum("ij,ij->i", away, np.concatenate([np.zeros((0, 3), np.float32), *normals]))
+        )
+    return np.asarray(np.nan_to_num(towards), dtype=np.float32)
+
+
+def _sigma_px(camera: Camera, sigma: FloatArray, pixels: FloatArray) -> Floats:
+    """Return standard deviations across the line of sight, pixels."""
+    with np.errstate(invalid="ignore"):
+        wide: Floats = np.asarray(camera.focal * sigma / pixels[:, 2], dtype=np.float32)
+    return wide
+
+
+def _reach_px(camera: Camera, sigma: FloatArray, pixels: FloatArray) -> list[float]:
+    wide = _sigma_px(camera, sigma, pixels)
+    wide = wide[np.isfinite(wide)]
+    return [min(float(wide.max()), WIDEST_SHARE * camera.rows)] if len(wide) else []
+
+
+def _margins(
+    camera: Camera, structures: Structures, placed: Placed, normals: list[Floats], margin_m: float
+) -> dict[int, FloatArray]:
+    """Project the tumours, each grown by the margin along its normals."""
+    if margin_m <= 0.0:
+        return {}
+    return {
+        number: camera.project(placed.points[structures.part(number)] + margin_m * normals[number])
+        for number, kind in enumerate(structures.kinds)
+        if kind == TUMOUR
+    }
+
+
+def _surface(camera: Camera, structures: Structures, vertices: FloatArray | None) -> Floats:
+    """Nearness of the organ's surface, over the whole image, in coarser pixels."""
+    shape = -(-camera.rows // COARSER), -(-camera.columns // COARSER)
+    nearness = np.zeros(shape, np.float32)
+    faces = structures.surface_faces
+    if vertices is not None and len(faces) and faces.max() < len(vertices):
+        fill_depth(with_nearness(camera.project(vertices), 0.0, 0.0, COARSER), faces, nearness)
+    return nearness
+
+
+def _depths(
+    camera: Camera, structures: Structures, points: FloatArray, pixels: FloatArray, surface: Floats
+) -> list[float]:
+    """Least depth of each structure below the surface along the line of sight, m; NaN where that is not known."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        column, row = (np.nan_to_num(pixels[:, :2], nan=-1.0).round() // COARSER).astype(int).T
+        inside = (column >= 0) & (column < surface.shape[1]) & (row >= 0) & (row < surface.shape[0])
+        outer = np.zeros(len(points))
+        outer[inside] = surface[row[inside], column[inside]]
+        below = (pixels[:, 2] - 1.0 / outer) * np.linalg.norm(points, axis=1) / pixels[:, 2]
+    below[outer == 0.0] = np.inf
+    parts = (below[structures.part(number)] for number in range(len(structures.names)))
+    least = [float(np.min(part, initial=np.inf)) for part in parts]
+    return [max(depth, 0.0) if np.isfinite(depth) else float("nan") for depth in least]
+
+
+def _said(shown: Outlined) -> str:
+    depth = "" if np.isnan(shown.depth_m) else f" {1e3 * shown.depth_m:.0f} mm"
+    return f"{shown.name}{depth}"
