@@ -17,6 +17,7 @@ ROS_COMMANDS = {
     "score": "ros.tools.score",
     "demo": "ros.tools.demo",
     "latency": "ros.tools.latency.main",
+    "overlay": "ros.overlay.main",
 }
 COMMANDS = {"check_organ": "organ.check_organ"}
 # pip, which builds a wheel, would put them into bin/, where `node` hides another program and there may be no ROS.

@@ -1,4 +1,4 @@
-"""A managed node and an executor whose every entity is inside the boundary, also those that rclpy adds itself."""
+"""Nodes and an executor whose every entity is inside the boundary, also those that rclpy adds itself."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -7,6 +7,7 @@ from typing import Any
 from rcl_interfaces.msg import ParameterType, SetParametersResult
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode
+from rclpy.node import Node
 from rclpy.task import Future
 
 from softtissue_estimator.errors import InvalidInputError
@@ -15,7 +16,7 @@ from softtissue_estimator.ros.boundary import Boundary
 _LAST_PARAMETER_TYPE = int(ParameterType.PARAMETER_STRING_ARRAY)
 
 
-class BoundedNode(LifecycleNode):
+class BoundedPlainNode(Node):
     """Puts the callback of every subscription, service and timer inside a boundary.
 
     Parameters
@@ -54,12 +55,6 @@ class BoundedNode(LifecycleNode):
         guarded = self.boundary.guarded("timer", callback)
         return super().create_timer(timer_period_sec, guarded, *arguments, **options)
 
-    def destroy_node(self) -> None:
-        """Leave the ROS graph at once."""
-        super().destroy_node()
-        # It holds what the node has in shared memory; rclpy leaves it to the interpreter's end.
-        self._state_machine.destroy_when_not_in_use()
-
     def _answering(self, name: str, srv_type: Any, callback: Callable[..., Any]) -> Callable[..., Any]:
         def failed(said: str, arguments: tuple[Any, ...]) -> Any:
             return failed_response(srv_type, arguments[0], said)
@@ -79,6 +74,16 @@ class BoundedNode(LifecycleNode):
             return callback(request, response)
 
         return self.boundary.guarded(name, with_known_types, failed)
+
+
+class BoundedNode(BoundedPlainNode, LifecycleNode):
+    """A managed node of that kind."""
+
+    def destroy_node(self) -> None:
+        """Leave the ROS graph at once."""
+        super().destroy_node()
+        # It holds what the node has in shared memory; rclpy leaves it to the interpreter's end.
+        self._state_machine.destroy_when_not_in_use()
 
 
 def failed_response(srv_type: Any, request: Any, sentence: str) -> Any:

@@ -1,15 +1,15 @@
-"""The node's command line: what it shows, and what it refuses with a hint."""
+"""A node's command line: what it shows, and what it refuses with a hint."""
 
 import argparse
 import dataclasses
 import difflib
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 
-_EXAMPLE = "ros2 run softtissue_estimator node --ros-args -p organ:=/data/my_liver -r surface_points:=/tracker/points"
 _OURS = "expected only --help, and ROS's own arguments behind --ros-args"
 # Parameters of rclpy itself; those of quality of service are checked beside the topics.
 _OF_ROS = ("use_sim_time", "start_type_description_service")
@@ -17,7 +17,25 @@ _OF_TOPICS = "qos_overrides."
 _ALIKE = 0.7  # of difflib: one or two letters off in a short name
 
 
-def parse_arguments(command_line: Sequence[str]) -> None:
+@dataclass(frozen=True)
+class Program:
+    """An executable with a node whose parameters are the fields of a dataclass of settings."""
+
+    name: str
+    description: str
+    example: str
+    settings: Any
+
+
+NODE = Program(
+    "node",
+    "Publish where the inside of an organ is now, from tracked points of its surface.",
+    "ros2 run softtissue_estimator node --ros-args -p organ:=/data/my_liver -r surface_points:=/tracker/points",
+    EstimatorConfig,
+)
+
+
+def parse_arguments(command_line: Sequence[str], program: Program = NODE) -> None:
     """Look at the command line without the program's name; `--help` prints and ends the program.
 
     Raises
@@ -26,19 +44,21 @@ def parse_arguments(command_line: Sequence[str]) -> None:
         If there is anything else.
     """
     parser = argparse.ArgumentParser(
-        prog="node",
-        usage="node [--help] [--ros-args -p PARAMETER:=VALUE --params-file FILE -r TOPIC:=TOPIC ...]",
-        description="Publish where the inside of an organ is now, from tracked points of its surface.",
-        epilog=_parameters(),
+        prog=program.name,
+        usage=f"{program.name} [--help] [--ros-args -p PARAMETER:=VALUE --params-file FILE -r TOPIC:=TOPIC ...]",
+        description=program.description,
+        epilog=_parameters(program),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     _, unknown = parser.parse_known_args(_outside_ros(command_line))
     if unknown:
-        raise InvalidInputError(f"arguments: {_OURS}, got {' '.join(unknown)}{_hint(unknown)}")
+        raise InvalidInputError(f"arguments: {_OURS}, got {' '.join(unknown)}{_hint(unknown, program)}")
 
 
-def check_parameters(given: Iterable[str], on_command_line: Sequence[str]) -> list[str]:
+def check_parameters(
+    given: Iterable[str], on_command_line: Sequence[str], program: Program = NODE
+) -> list[str]:
     """Look for parameters that were given and that the node does not have.
 
     A file may hold parameters of other nodes under `/**`. So one that resembles none of the node's and stands in a file
@@ -50,6 +70,7 @@ def check_parameters(given: Iterable[str], on_command_line: Sequence[str]) -> li
         Names of all that were given, in files or not.
     on_command_line : sequence of str
         The command line with ROS's own arguments.
+    program : Program
 
     Returns
     -------
@@ -61,7 +82,7 @@ def check_parameters(given: Iterable[str], on_command_line: Sequence[str]) -> li
     InvalidInputError
         If a name is misspelt, or one that the command line gives is not known.
     """
-    known = [field.name for field in dataclasses.fields(EstimatorConfig)]
+    known = [field.name for field in dataclasses.fields(program.settings)]
     direct = given_directly(on_command_line)
     left = []
     for name in sorted(given):
@@ -72,7 +93,7 @@ def check_parameters(given: Iterable[str], on_command_line: Sequence[str]) -> li
         if alike:
             raise InvalidInputError(f"{said}, got another; did you mean {alike[0]}?")
         if name in direct:
-            raise InvalidInputError(f"{said}, got another; `node --help` lists them")
+            raise InvalidInputError(f"{said}, got another; `{program.name} --help` lists them")
         left.append(f"{said}, got another, which is left out")
     return left
 
@@ -96,18 +117,22 @@ def _outside_ros(command_line: Sequence[str]) -> list[str]:
     return outside
 
 
-def _hint(unknown: Sequence[str]) -> str:
-    known = {field.name for field in dataclasses.fields(EstimatorConfig)}
+def _hint(unknown: Sequence[str], program: Program) -> str:
+    known = {field.name for field in dataclasses.fields(program.settings)}
     rules = [word for word in unknown if ":=" in word]
     if not rules:
-        return "; `node --help` shows how"
+        return f"; `{program.name} --help` shows how"
     meant = [f"-{'p' if word.partition(':=')[0] in known else 'r'} {word}" for word in rules]
     return f"; did you mean --ros-args {' '.join(meant)}?"
 
 
-def _parameters() -> str:
-    lines = [f"example: {_EXAMPLE}", "", "parameters (with defaults; `ros2 param describe` says more):"]
-    for field in dataclasses.fields(EstimatorConfig):
+def _parameters(program: Program) -> str:
+    lines = [
+        f"example: {program.example}",
+        "",
+        "parameters (with defaults; `ros2 param describe` says more):",
+    ]
+    for field in dataclasses.fields(program.settings):
         sentence = str(field.metadata["description"]).partition(". ")[0].rstrip(".")
         lines.append(f"  {field.name} ({_shown(field.default)})\n      {sentence}.")
     lines += [

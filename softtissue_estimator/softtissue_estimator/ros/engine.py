@@ -34,6 +34,11 @@ class Engine:
         """What makes answers of frames; one thread at a time may ask it."""
         return FrameAnswerer(self.organ, self.estimator)
 
+    @cached_property
+    def surface(self) -> AnswerBuffer:
+        """The organ's surface as a message; made when somebody listens."""
+        return AnswerBuffer(self.organ, surface=True)
+
     @property
     def setup(self) -> Setup:
         """Names for the status."""

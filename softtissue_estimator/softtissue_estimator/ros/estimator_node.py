@@ -89,6 +89,7 @@ class EstimatorNode(ManagedNode):
             self.boundary.sentence,
             self._broadcast,
             self.create_lifecycle_publisher(Structures, "~/structures", **overridable(NEWEST_QOS)),
+            self.create_lifecycle_publisher(PointCloud2, "~/deformed_surface", **overridable(OUTPUT_QOS)),
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
         self._poses = PoseProcess()

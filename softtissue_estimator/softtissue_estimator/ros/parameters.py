@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.estimator import check_estimator
-from softtissue_estimator.ros.command_line import check_parameters, given_directly
+from softtissue_estimator.ros.command_line import NODE, Program, check_parameters, given_directly
 from softtissue_estimator.ros.inputs.topic_quality import check_quality
 
 # Read anew for every cloud, so they may change while the node works. Everything else goes into what is loaded.
@@ -45,12 +45,18 @@ NODE_DEFAULTS = {"tracking": True}
 
 def descriptor(field: "dataclasses.Field[Any]") -> ParameterDescriptor:
     """Describe one field of `EstimatorConfig` as ROS tools show it."""
+    message = described(field, read_only=field.name in FIXED)
+    if field.name not in LIVE | FIXED:
+        message.description += " Can only be changed while the node is unconfigured."
+    return message
+
+
+def described(field: "dataclasses.Field[Any]", read_only: bool) -> ParameterDescriptor:
+    """Describe one field of settings: its meaning, unit, choices and range."""
     unit, choices, limits = (field.metadata[key] for key in ("unit", "choices", "range"))
     text = field.metadata["description"]
     text += f" Unit: {unit}." if unit else ""
-    if field.name not in LIVE | FIXED:
-        text += " Can only be changed while the node is unconfigured."
-    message = ParameterDescriptor(name=field.name, description=text, read_only=field.name in FIXED)
+    message = ParameterDescriptor(name=field.name, description=text, read_only=read_only)
     message.type = Parameter.Type.from_parameter_value(_as_ros(field.default)).value
     if choices is not None:
         message.additional_constraints = f"One of: {', '.join(choices)}"
@@ -71,17 +77,38 @@ def declare_parameters(node: Node) -> None:
     InvalidInputError
         If a value given at the start is of the wrong type or outside its range, or of a parameter that is misspelt.
     """
+    warn_of_unknown(node, NODE)
     given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
-    for sentence in check_parameters(given, sys.argv):
-        node.get_logger().warning(sentence)
     check_quality(given, node.resolve_topic_name, given_directly(sys.argv))
     for field in dataclasses.fields(EstimatorConfig):
-        try:
-            default = NODE_DEFAULTS.get(field.name, field.default)
-            node.declare_parameter(field.name, _as_ros(default), descriptor(field))
-        except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-            # rclpy's sentences say what was expected and what was given.
-            raise InvalidInputError(f"parameter {field.name}: {error}") from None
+        declare(node, NODE_DEFAULTS.get(field.name, field.default), descriptor(field))
+
+
+def warn_of_unknown(node: Node, program: Program) -> None:
+    """Log a warning for each parameter given at the start that the node does not have.
+
+    Raises
+    ------
+    InvalidInputError
+        If one is misspelt.
+    """
+    for sentence in check_parameters(node._parameter_overrides, sys.argv, program):
+        node.get_logger().warning(sentence)
+
+
+def declare(node: Node, default: Any, described_as: ParameterDescriptor) -> None:
+    """Declare a parameter.
+
+    Raises
+    ------
+    InvalidInputError
+        If the value given at the start is of the wrong type or outside its range.
+    """
+    try:
+        node.declare_parameter(described_as.name, _as_ros(default), described_as)
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        # rclpy's sentences say what was expected and what was given.
+        raise InvalidInputError(f"parameter {described_as.name}: {error}") from None
 
 
 def read_config(node: Node) -> EstimatorConfig:

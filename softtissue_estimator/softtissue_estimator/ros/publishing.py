@@ -24,6 +24,7 @@ class Outputs:
     explain: Callable[[str, BaseException], str]
     transforms: RegistrationBroadcast | None = None
     structures: Any = None
+    surface: Any = None
     _poses: PoseBuffer = field(default_factory=PoseBuffer, init=False)
 
     def publish(self, engine: Engine, answer: Answer, lifetime_s: float) -> tuple[dict[str, float], bool]:
@@ -43,6 +44,12 @@ class Outputs:
         self.points.publish(
             engine.points.serialised(answer.positions, estimate.displacement, estimate.sigma, answer.stamp_ns)
         )
+        if self.surface is not None and self.surface.get_subscription_count() > 0:
+            self.surface.publish(
+                engine.surface.serialised(
+                    answer.positions, estimate.displacement, estimate.sigma, answer.stamp_ns
+                )
+            )
         published = time.monotonic()
         shown = self.show(engine, answer, lifetime_s)
         stages = {

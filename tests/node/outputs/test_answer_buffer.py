@@ -45,6 +45,20 @@ def test_every_frame_overwrites_stamp_positions_displacements_and_sigma(organ):
         assert message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec == stamp
 
 
+def test_surface_has_its_own_rows(organ):
+    inside, displacement = (
+        len(organ.structure_points),
+        np.arange(3.0 * len(organ.query_points)).reshape(-1, 3),
+    )
+    sigma = np.arange(1.0 * len(organ.query_points))
+    data = AnswerBuffer(organ, surface=True).serialised(organ.query_points, displacement, sigma, 7)
+    _, rows = read(data)
+    np.testing.assert_allclose([r[:3] for r in rows], organ.surface.vertices, rtol=1e-6)
+    np.testing.assert_allclose([r[3:6] for r in rows], displacement[inside:], rtol=1e-6)
+    assert {r[6] for r in rows} == {len(organ.structures)}
+    np.testing.assert_allclose([r[7] for r in rows], sigma[inside:])
+
+
 def test_message_describes_itself(organ):
     message, _ = read(AnswerBuffer(organ).serialised(organ.query_points, organ.query_points, None, 0))
     assert (message.header.frame_id, message.height, message.point_step) == ("organ", 1, 32)

@@ -27,3 +27,5 @@ def test_triangles_of_the_rows_are_those_of_the_meshes(tmp_path):
         np.testing.assert_allclose([colour.r, colour.g, colour.b, colour.a], structure.colour, atol=1e-6)
     assert message.first_vertex[-1] == len(organ.structure_points)
     assert message.first_face[-1] == len(faces)
+    outer = np.asarray(message.surface_faces).reshape(-1, 3)
+    np.testing.assert_array_equal(outer, organ.surface.faces)

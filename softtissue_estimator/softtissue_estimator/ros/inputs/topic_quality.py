@@ -19,7 +19,14 @@ TOPICS = {
         "registration_with_covariance",
         "camera_pose",
     ),
-    "publisher": ("~/deformed_points", "~/markers", "~/registration", "~/status", "~/structures"),
+    "publisher": (
+        "~/deformed_points",
+        "~/deformed_surface",
+        "~/markers",
+        "~/registration",
+        "~/status",
+        "~/structures",
+    ),
 }
 POLICIES = (QoSPolicyKind.DEPTH, QoSPolicyKind.DURABILITY, QoSPolicyKind.HISTORY, QoSPolicyKind.RELIABILITY)
 _VALUES = {"durability": DurabilityPolicy, "history": HistoryPolicy, "reliability": ReliabilityPolicy}

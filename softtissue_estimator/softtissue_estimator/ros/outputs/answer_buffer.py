@@ -19,17 +19,21 @@ _SENTINEL_POINT = (-7.3219481e31, 4.1178235e-27, -9.6601735e26)
 
 
 class AnswerBuffer:
-    """Serialised `~/deformed_points` of one organ.
+    """Serialised `~/deformed_points` of one organ, or `~/deformed_surface`.
 
     Parameters
     ----------
     organ : Organ
+    surface : bool
+        Whether the organ's surface is meant, and not its structures; its rows have the number after the last one's.
     """
 
-    def __init__(self, organ: Organ) -> None:
-        self._count = len(organ.structure_points)
+    def __init__(self, organ: Organ, surface: bool = False) -> None:
+        inside = len(organ.structure_points)
+        self._rows = slice(inside, len(organ.query_points)) if surface else slice(0, inside)
+        self._count = self._rows.stop - self._rows.start
         vertices = np.zeros(self._count, dtype=_VERTEX)
-        vertices["structure"] = organ.structure_index
+        vertices["structure"] = len(organ.structures) if surface else organ.structure_index
         if self._count:
             vertices[0]["x"], vertices[0]["y"], vertices[0]["z"] = _SENTINEL_POINT
         seconds, nanoseconds = SENTINEL_STAMP
@@ -59,8 +63,8 @@ class AnswerBuffer:
         stamp_ns : int
             Stamp of the cloud that is answered, nanoseconds.
         """
-        values, count = self._values, self._count
-        values[:, 0:3] = positions[:count]
-        values[:, 3:6] = displacement[:count]
-        values[:, 7] = np.nan if sigma is None else sigma[:count]
+        values, rows = self._values, self._rows
+        values[:, 0:3] = positions[rows]
+        values[:, 3:6] = displacement[rows]
+        values[:, 7] = np.nan if sigma is None else sigma[rows]
         return self._template.stamped(stamp_ns)

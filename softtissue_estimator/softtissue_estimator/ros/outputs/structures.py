@@ -1,4 +1,4 @@
-"""`~/structures`: what the rows of `~/deformed_points` are."""
+"""`~/structures`: what the rows of `~/deformed_points` and `~/deformed_surface` are."""
 
 from array import array
 
@@ -10,7 +10,7 @@ from softtissue_estimator.organ.organ import Organ
 
 
 def structures_message(organ: Organ) -> Structures:
-    """Describe names, kinds, colours and triangles of an organ's structures."""
+    """Describe names, kinds, colours and triangles of an organ's structures, and the triangles of its surface."""
     message = Structures(organ=organ.name)
     message.header.frame_id = organ.frame
     message.names = [structure.name for structure in organ.structures]
@@ -24,4 +24,5 @@ def structures_message(organ: Organ) -> Structures:
     message.first_vertex, message.first_face = vertices.tolist(), triangles.tolist()
     packed = np.concatenate([np.empty((0, 3), dtype=np.int64), *faces]).astype(np.uint32)
     message.faces = array("I", packed.tobytes())
+    message.surface_faces = array("I", organ.surface.faces.astype(np.uint32).tobytes())
     return message

@@ -1,0 +1,250 @@
+"""What the estimator's node says, kept until an image asks for it. May be asked from any thread."""
+
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2
+from softtissue_msgs.msg import EstimatorStatus
+from softtissue_msgs.msg import Structures as StructuresMessage
+
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.overlay.scene import FloatArray, Placed, Structures, make_structures
+from softtissue_estimator.ros.inputs.cloud_layout import columns, field_names, records
+from softtissue_estimator.ros.inputs.conversions import check_stamp, read_pose, stamp_ns
+from softtissue_estimator.ros.inputs.registration import Registration, inverse, transform_points
+
+ItemT = TypeVar("ItemT")
+
+KEPT = 32
+"""Answers and poses that are kept: images are late by less than a second."""
+_LARGEST_FACES = 4_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Vertices of an answer, m, organ's frame."""
+
+    stamp_ns: int
+    frame: str
+    points: FloatArray
+    sigma: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What an image shows: the structures in the camera's frame, or why there are none.
+
+    Attributes
+    ----------
+    structures : Structures or None
+    placed : Placed or None
+    head, reason : str
+        What the banner says; empty where all is well.
+    """
+
+    structures: Structures | None = None
+    placed: Placed | None = None
+    head: str = ""
+    reason: str = ""
+
+
+class Answers:
+    """Keeps the newest answers, their poses and the newest status.
+
+    Parameters
+    ----------
+    registration : Registration
+        Asked where a pose of the answer's stamp is absent, and where the camera is.
+    """
+
+    def __init__(self, registration: Registration) -> None:
+        self._registration = registration
+        self._lock = threading.Lock()
+        self._structures: Structures | None = None
+        self._answers: OrderedDict[int, Points] = OrderedDict()
+        self._poses: OrderedDict[int, tuple[str, FloatArray]] = OrderedDict()
+        self._surface: Points | None = None
+        self._status: EstimatorStatus | None = None
+        self._organ_frame = ""
+
+    @property
+    def organ_frame(self) -> str:
+        """Frame of the organ at work; empty before the first."""
+        return self._organ_frame
+
+    def take_structures(self, message: StructuresMessage) -> None:
+        """Take what the rows of the answers are; those before are of another organ.
+
+        Raises
+        ------
+        InvalidInputError
+            If it contradicts itself.
+        """
+        structures = read_structures(message)
+        with self._lock:
+            self._structures, self._organ_frame = structures, message.header.frame_id
+            self._answers.clear()
+            self._poses.clear()
+            self._surface = None
+
+    def take_points(self, message: PointCloud2) -> None:
+        """Take an answer (`~/deformed_points`).
+
+        Raises
+        ------
+        InvalidInputError
+            If its layout cannot be read.
+        """
+        answer = read_points(message)
+        with self._lock:
+            _keep(self._answers, answer.stamp_ns, answer)
+
+    def take_surface(self, message: PointCloud2) -> None:
+        """Take the organ's surface (`~/deformed_surface`).
+
+        Raises
+        ------
+        InvalidInputError
+            As `take_points`.
+        """
+        self._surface = read_points(message)
+
+    def take_pose(self, message: PoseWithCovarianceStamped) -> None:
+        """Take the pose of an answer (`~/registration`).
+
+        Raises
+        ------
+        InvalidInputError
+            If it is no rigid motion.
+        """
+        check_stamp(message.header.stamp, "registration")
+        motion = read_pose(message)
+        with self._lock:
+            _keep(self._poses, stamp_ns(message.header.stamp), (message.header.frame_id, motion))
+
+    def take_status(self, message: EstimatorStatus) -> None:
+        """Take the newest status; where it is INVALID, the answers before it no longer hold."""
+        with self._lock:
+            self._status = message
+            if message.level == EstimatorStatus.INVALID:
+                self._answers.clear()
+
+    def view(self, frame: str, stamp: int, maximum_age_s: float) -> View:
+        """Return what a camera shows.
+
+        Parameters
+        ----------
+        frame : str
+            The camera's.
+        stamp : int
+            Of the image, by the clouds' clock, nanoseconds; the answer of the nearest one is taken.
+        maximum_age_s : float
+            Further away in time no answer is taken, s.
+        """
+        with self._lock:
+            structures, status, surface = self._structures, self._status, self._surface
+            answer = min(self._answers.values(), key=lambda one: abs(one.stamp_ns - stamp), default=None)
+            pose = None if answer is None else self._poses.get(answer.stamp_ns)
+        if status is not None and status.level == EstimatorStatus.INVALID:
+            return View(head="INVALID", reason=status.reason)
+        if structures is None or answer is None:
+            missing = "structures of the organ" if structures is None else "an answer"
+            return View(head="NO ESTIMATE", reason=f"expected {missing}, got none")
+        age_s = 1e-9 * (stamp - answer.stamp_ns)
+        if stamp == 0 or abs(age_s) > maximum_age_s:
+            got = "an image without a stamp" if stamp == 0 else f"one {abs(age_s):.2f} s away"
+            return View(
+                head="NO ESTIMATE",
+                reason=f"expected an answer within {maximum_age_s:g} s of the image (maximum_age_s), got {got}",
+            )
+        if len(answer.points) != structures.first_vertex[-1]:
+            return View(
+                head="NO ESTIMATE",
+                reason=f"expected {structures.first_vertex[-1]} rows in an answer, got {len(answer.points)}",
+            )
+        try:
+            motion = self._motion(frame, answer, pose, stamp)
+        except InvalidInputError as error:
+            return View(head="NO POSE", reason=str(error).replace("cloud", "image"))
+        outer = None
+        if surface is not None and abs(surface.stamp_ns - answer.stamp_ns) <= 1e9 * maximum_age_s:
+            outer = transform_points(motion, surface.points)
+        placed = Placed(transform_points(motion, answer.points), answer.sigma, outer)
+        degraded = status is not None and status.level == EstimatorStatus.DEGRADED
+        head, reason = ("DEGRADED", status.reason) if degraded and status is not None else ("", "")
+        return View(structures, placed, head, reason)
+
+    def _motion(
+        self, frame: str, answer: Points, pose: tuple[str, FloatArray] | None, stamp: int
+    ) -> FloatArray:
+        """Return the (4, 4) motion from the organ's frame to the camera's at the image's stamp, m."""
+        if pose is None or pose[0] != frame:
+            return self._registration.pose(frame, answer.frame, stamp).motion
+        motion = pose[1]
+        # The camera moved on between the cloud and the image, if somebody says where it is.
+        cameras = self._registration.cameras
+        room = cameras.fixed_frame(frame)
+        if room is None:
+            return motion
+        then, now = (cameras.lookup(room, frame, when).motion for when in (answer.stamp_ns, stamp))
+        if then is None or now is None:
+            return motion
+        moved: FloatArray = inverse(now) @ then @ motion
+        return moved
+
+
+def read_structures(message: StructuresMessage) -> Structures:
+    """Read the message of `~/structures`.
+
+    Raises
+    ------
+    InvalidInputError
+        If it contradicts itself.
+    """
+    colours = np.array([[c.r, c.g, c.b] for c in message.colours], dtype=np.float64).reshape(-1, 3)
+    return make_structures(
+        tuple(message.names),
+        tuple(message.kinds),
+        colours,
+        np.asarray(message.first_vertex, dtype=np.int64),
+        np.asarray(message.first_face, dtype=np.int64),
+        _triangles(message.faces),
+        _triangles(message.surface_faces),
+    )
+
+
+def _triangles(rows: object) -> NDArray[np.int32]:
+    corners = np.asarray(rows, dtype=np.uint32)
+    if len(corners) % 3 or len(corners) > 3 * _LARGEST_FACES or (len(corners) and corners.max() >= 2**31):
+        raise InvalidInputError(
+            f"structures: expected at most {_LARGEST_FACES} triangles of 3 rows, got {len(corners)} rows"
+        )
+    return corners.astype(np.int32).reshape(-1, 3)
+
+
+def read_points(message: PointCloud2) -> Points:
+    """Read positions and standard deviations of `~/deformed_points` or `~/deformed_surface`.
+
+    Raises
+    ------
+    InvalidInputError
+        If a field is missing or its sizes contradict each other.
+    """
+    check_stamp(message.header.stamp, "answer")
+    deviations = "sigma" in field_names(message)
+    table = records(message, ("x", "y", "z", *(("sigma",) if deviations else ())))
+    points = columns(table, ("x", "y", "z")).astype(np.float64)
+    sigma = table["sigma"].reshape(-1).astype(np.float64) if deviations else np.full(len(points), np.nan)
+    return Points(stamp_ns(message.header.stamp), message.header.frame_id, points, sigma)
+
+
+def _keep(kept: OrderedDict[int, ItemT], stamp: int, item: ItemT) -> None:
+    kept[stamp] = item
+    kept.move_to_end(stamp)
+    while len(kept) > KEPT:
+        kept.popitem(last=False)
