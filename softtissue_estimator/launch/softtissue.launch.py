@@ -1,4 +1,4 @@
-"""Start the estimator, and RViz if asked, on a full ROS 2 installation.
+"""Start the estimator, and the overlay and RViz if asked, on a full ROS 2 installation.
 
 ros2 launch softtissue_estimator softtissue.launch.py organ:=/data/my_liver points:=/tracker/points rviz:=true
 """
@@ -40,6 +40,11 @@ TOPICS = {
     "correspondences": ("correspondences", "where they were on the preoperative surface"),
     "registration": ("registration", "rigid pose of the organ"),
     "registration_with_covariance": ("registration_with_covariance", "the same with its covariance"),
+}
+# Of the overlay, and the topics of the camera that they rename.
+IMAGES = {
+    "image": ("image", "with overlay: the camera's images; compressed ones are on IMAGE/compressed"),
+    "camera_info": ("camera_info", "with overlay: how the camera maps"),
 }
 TRUE, FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
@@ -91,14 +96,34 @@ def rviz_configuration(given: dict[str, str]) -> Path:
     return path
 
 
+def overlay(given: dict[str, str]) -> Node:
+    """Describe the overlay, which draws the answers of the node on a camera's images."""
+    chosen: dict[str, Any] = {"estimator_node": given["name"]}
+    if given["use_sim_time"]:
+        chosen["use_sim_time"] = truth("use_sim_time", given["use_sim_time"])
+    topics = {topic: given[name] for name, (topic, _) in IMAGES.items()}
+    topics["image/compressed"] = f"{given['image']}/compressed"
+    return Node(
+        package=PACKAGE,
+        executable="overlay",
+        namespace=given["namespace"],
+        output="screen",
+        respawn=truth("respawn", given["respawn"]),
+        parameters=[given["overlay_params"], chosen],
+        remappings=[*topics.items(), *((t, given[n]) for n, (t, _) in TOPICS.items() if n != "points")],
+    )
+
+
 def processes(context: LaunchContext) -> list[Node]:
     """Describe the processes from the arguments as given; whatever is wrong is said before one of them starts."""
-    names = (*PARAMETERS, *TOPICS, "params", "namespace", "name", "log_level", "respawn", "rviz")
+    names = (*PARAMETERS, *TOPICS, *IMAGES, "params", "namespace", "name", "log_level", "respawn", "rviz")
+    names = (*names, "overlay", "overlay_params")
     given = {name: LaunchConfiguration(name).perform(context) for name in names}
-    if not Path(given["params"]).is_file():
-        raise InvalidInputError(
-            f"argument params: expected a file of parameters, found none at {given['params']}"
-        )
+    for name in ("params", "overlay_params"):
+        if not Path(given[name]).is_file():
+            raise InvalidInputError(
+                f"argument {name}: expected a file of parameters, found none at {given[name]}"
+            )
     described: list[Node] = [
         LifecycleNode(
             package=PACKAGE,
@@ -112,6 +137,8 @@ def processes(context: LaunchContext) -> list[Node]:
             arguments=["--ros-args", "--log-level", f"{given['name']}:={given['log_level']}"],
         )
     ]
+    if truth("overlay", given["overlay"]):
+        described.append(overlay(given))
     if truth("rviz", given["rviz"]):
         try:
             get_package_prefix("rviz2")
@@ -131,7 +158,7 @@ def generate_launch_description() -> LaunchDescription:
     actions = [DeclareLaunchArgument(n, default_value="", description=text) for n, text in PARAMETERS.items()]
     actions += [
         DeclareLaunchArgument(name, default_value=topic, description=text)
-        for name, (topic, text) in TOPICS.items()
+        for name, (topic, text) in (TOPICS | IMAGES).items()
     ]
     others = {
         "params": (str(share() / "config" / "softtissue_estimator.yaml"), "YAML file of parameters"),
@@ -140,6 +167,11 @@ def generate_launch_description() -> LaunchDescription:
         "log_level": ("info", "debug, info, warn, error or fatal"),
         "respawn": ("false", "start the node again when it ends"),
         "rviz": ("false", "start RViz too"),
+        "overlay": ("false", "start the overlay too"),
+        "overlay_params": (
+            str(share() / "config" / "softtissue_overlay.yaml"),
+            "YAML file of the overlay's parameters",
+        ),
     }
     actions += [
         DeclareLaunchArgument(name, default_value=default, description=text)

@@ -11,10 +11,10 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from integration.harness import Client, NodeProcess, executable, write_organ
+from integration.harness import Client, NodeProcess, PlainClient, executable, write_organ
 from integration.sros2_policy import ACTS, ENCLAVES, allowed, policy
 
-NODE = "softtissue_estimator"
+NODE, OVERLAY = "softtissue_estimator", "softtissue_overlay"
 ROLES = [enclave for enclave in ENCLAVES if enclave != "node"]
 # Of the node's own expressions: what a full installation has on top.
 ONLY_WITH_TF2 = {"/tf", "/tf_static"}
@@ -51,6 +51,28 @@ def test_node_may_do_what_it_does_and_nothing_else(tmp_path, domain):
     assert may == opened
 
 
+def test_overlay_may_do_what_it_does_and_nothing_else(tmp_path, domain):
+    opened = {}
+    for transport in ("raw", "compressed"):
+        folder = tmp_path / transport
+        folder.mkdir()
+        program, parameters = [executable("overlay")], {"image_transport": transport}
+        with NodeProcess(domain, folder, parameters, program) as overlay, PlainClient(domain) as client:
+            overlay.wait_for_text("drawing on images")
+            client.wait(lambda: OVERLAY in client.node.get_node_names(), "overlay")
+            client.spin(0.5)
+            graph = client.node
+            for act, ask in (
+                ("publish", graph.get_publisher_names_and_types_by_node),
+                ("subscribe", graph.get_subscriber_names_and_types_by_node),
+                ("reply", graph.get_service_names_and_types_by_node),
+            ):
+                opened[act] = opened.get(act, set()) | names(ask(OVERLAY, "/"))
+    may = allowed("overlay")
+    may["subscribe"] -= ONLY_WITH_TF2 - opened["subscribe"]
+    assert may == opened | {"request": set()}
+
+
 def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
     node, roles = allowed("node"), {role: allowed(role) for role in ROLES}
 
@@ -60,13 +82,13 @@ def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
     def who(act: str, name: str) -> set[str]:
         return {role for role in ROLES if may(role, act, name)}
 
-    for topic in ("/surface_points", "/correspondences", "/camera_pose"):
+    for topic in ("/surface_points", "/correspondences", "/camera_pose", "/image", "/camera_info"):
         assert who("publish", topic) == {"tracker"}
     for topic in ("/registration", "/registration_with_covariance"):
         assert who("publish", topic) == {"registration"}
     assert who("request", f"/{NODE}/warp_points") == {"display"}
-    for topic in ("deformed_points", "registration"):
-        assert who("subscribe", f"/{NODE}/{topic}") == {"display"}
+    for topic in ("deformed_points", "deformed_surface", "registration"):
+        assert who("subscribe", f"/{NODE}/{topic}") == {"display", "overlay"}
     about_registration = {f"/{NODE}/{name}" for name in ("register", "decide_registration")}
     for service in about_registration:
         assert who("request", service) == {"registration"}

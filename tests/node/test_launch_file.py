@@ -90,6 +90,29 @@ def test_launch_file_passes_on_what_is_given(launch_file):
     }
 
 
+def test_overlay_draws_the_answers_of_the_node_on_the_cameras_images(launch_file):
+    given = {
+        "overlay": "true",
+        "name": "liver",
+        "namespace": "room_1",
+        "image": "/scope/left",
+        "use_sim_time": "1",
+    }
+    _, overlay = launch_file.processes(defaults(launch_file) | given)
+    assert (overlay.keywords["executable"], overlay.keywords["namespace"]) == ("overlay", "room_1")
+    file, chosen = overlay.keywords["parameters"]
+    assert Path(file).name == "softtissue_overlay.yaml" and Path(file).is_file()
+    assert chosen == {"estimator_node": "liver", "use_sim_time": True}
+    assert dict(overlay.keywords["remappings"]) == {
+        "image": "/scope/left",
+        "image/compressed": "/scope/left/compressed",
+        "camera_info": "camera_info",
+        "correspondences": "correspondences",
+        "registration": "registration",
+        "registration_with_covariance": "registration_with_covariance",
+    }
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [
@@ -97,6 +120,7 @@ def test_launch_file_passes_on_what_is_given(launch_file):
             {"params": "/nowhere/p.yaml"},
             "params: expected a file of parameters, found none at /nowhere/p.yaml",
         ),
+        ({"overlay": "true", "overlay_params": "/nowhere"}, "overlay_params: .* found none at /nowhere"),
         ({"autostart": "maybe"}, "autostart: expected true or false, got 'maybe'"),
         ({"rviz": "true"}, "rviz: expected rviz2 to be installed"),
     ],

@@ -13,6 +13,7 @@ from rclpy.parameter import Parameter
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.overlay.settings import OverlaySettings
 from softtissue_estimator.ros import parameters
 
 PACKAGE = Path(__file__).parents[2] / "softtissue_estimator"
@@ -26,6 +27,15 @@ def test_parameter_file_has_every_parameter_with_its_default():
     assert listed == defaults
     # ROS is strict: 1 is not a double.
     assert {n: type(v) for n, v in listed.items()} == {n: type(v) for n, v in defaults.items()}
+
+
+def test_parameter_file_of_the_overlay_has_every_parameter_with_its_default():
+    text = (PACKAGE / "config" / "softtissue_overlay.yaml").read_text()
+    listed, defaults = yaml.safe_load(text)["/**"]["ros__parameters"], dataclasses.asdict(OverlaySettings())
+    assert listed == defaults
+    assert {n: type(v) for n, v in listed.items()} == {n: type(v) for n, v in defaults.items()}
+    for field in dataclasses.fields(OverlaySettings):
+        assert field.metadata["description"] in text
 
 
 def test_descriptors_tell_type_unit_and_range():
