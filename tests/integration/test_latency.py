@@ -164,6 +164,7 @@ SMALL = RealtimePlan(
     network_repeats=0,
     soak_s=0.0,
     quick=True,
+    overlays=("64x48@10",),
 )
 
 
@@ -173,7 +174,7 @@ def test_small_benchmark_through_real_processes(tmp_path, monkeypatch, capfd, en
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     summary = bench_summary(run_realtime(SMALL, tmp_path, print), "command", "today")
-    plain, markers, services = summary["end_to_end"]
+    plain, markers, services, drawn = summary["end_to_end"]
     for row in summary["end_to_end"]:
         assert (row["estimator"], row["device"], row["points"], row["rate_hz"]) == (
             "elastic",
@@ -193,6 +194,12 @@ def test_small_benchmark_through_real_processes(tmp_path, monkeypatch, capfd, en
     assert "markers_p50_ms" not in plain and markers["markers_p50_ms"] > 0.0
     for times in services["service_ms"].values():
         assert times["calls"] >= 2 and 0.0 < times["p50_ms"] <= times["max_ms"]
+    overlay = drawn["overlay"]
+    assert [row["overlay"] for row in (plain, markers, services)] == [None] * 3
+    # What is drawn needs the answers: without them there is a banner, which takes as long as the rest here.
+    assert overlay["sent"] >= 8 and 0.8 * overlay["sent"] <= overlay["shown"] <= overlay["sent"]
+    assert 0.0 < overlay["p50_ms"] <= overlay["max_ms"] and overlay["cpu_share"] > 0.0
+    assert "| 64x48@10 |" in markdown(summary)
     assert summary["starts"][0]["start_to_answer_s"] > 0.0
     paths = {row["path"]: row for row in summary["messages"]}
     assert {path: row["size"] for path, row in paths.items()} == {
@@ -214,6 +221,7 @@ def test_wrong_arguments_are_one_sentence_and_exit_code_2(environment):
         (["--rates", "0"], "--rates and --seconds above 0"),
         (["--organ", "nowhere"], "nowhere"),
         (["--parameter", "tracking"], "NAME:=VALUE"),
+        (["--overlay", "640x480"], "COLUMNSxROWS@RATE"),
     ):
         command = [str(executable("latency")), *arguments]
         result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)

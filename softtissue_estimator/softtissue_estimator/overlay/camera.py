@@ -81,6 +81,13 @@ class Camera:
             found[seen, 2] = points[seen, 2]
         return found
 
+    def shows(self, points: FloatArray) -> NDArray[np.bool_]:
+        """Tell which points (n, 3) m, camera's frame, are on the image, (n,)."""
+        pixels = self.project(points)[:, :2]
+        with np.errstate(invalid="ignore"):
+            inside = (pixels >= -0.5) & (pixels <= [self.columns - 0.5, self.rows - 0.5])
+        return np.asarray(inside.all(axis=1))
+
     def _pixels(self, points: FloatArray) -> FloatArray:
         if not self.distortion.any():
             return np.asarray((points / points[:, 2:]) @ self.matrix[:2].T)

@@ -95,6 +95,17 @@ def write_banner(image: Image, head: str, text: str, colour: tuple[int, int, int
         _write(image, line, (2 * _GAP, row), size, (235.0, 235.0, 235.0))
 
 
+def write_lines(columns: int, text: str) -> Image:
+    """Return a dark strip (rows, columns, 3) of so many columns with a text on it, in as many lines as it needs."""
+    (wide, height), _ = cv2.getTextSize("n" * 20, _FONT, 0.6, 1)
+    lines = textwrap.wrap(_plain(text), max(10, int(20 * (columns - 4 * _GAP) / max(wide, 1))))
+    step = int(1.8 * height)
+    strip = np.full((step * len(lines) + 2 * _GAP, columns, 3), 30, np.uint8)
+    for number, line in enumerate(lines):
+        _write(strip, line, (2 * _GAP, _GAP + step * number + int(1.3 * height)), 0.6, (235.0, 235.0, 235.0))
+    return strip
+
+
 def _plain(text: str) -> str:
     return "".join(letter if " " <= letter <= "~" else "?" for letter in text)
 
@@ -107,7 +118,10 @@ def _write(
     colour: tuple[float, ...],
     thick: int = 1,
 ) -> None:
-    cv2.putText(image, text, place, _FONT, size, (0, 0, 0), thick + 2, cv2.LINE_AA)
+    # A thicker font would be a wider one, too.
+    for across, down in product((-1, 1), (-1, 1)):
+        shifted = (place[0] + across, place[1] + down)
+        cv2.putText(image, text, shifted, _FONT, size, (0, 0, 0), thick, cv2.LINE_AA)
     cv2.putText(image, text, place, _FONT, size, colour, thick, cv2.LINE_AA)
 
 

@@ -1,7 +1,6 @@
 """From where the structures are to an image that shows them."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -18,9 +17,7 @@ from softtissue_estimator.overlay.drawing import (
 )
 from softtissue_estimator.overlay.labels import Label, write_labels
 from softtissue_estimator.overlay.rasteriser import fill_depth, vertex_normals
-from softtissue_estimator.overlay.scene import FloatArray, Numbers, Placed, Structures
-
-Order = Literal["rgb", "bgr"]
+from softtissue_estimator.overlay.scene import FloatArray, Numbers, Order, Placed, Structures
 
 TUMOUR = "tumour"
 _MARGIN_STRENGTH = 0.8

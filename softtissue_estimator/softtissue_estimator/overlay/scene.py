@@ -1,6 +1,7 @@
 """What is drawn: the structures of an organ, and where they are at a moment."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,8 @@ from softtissue_estimator.errors import InvalidInputError
 
 FloatArray = NDArray[np.float64]
 Numbers = NDArray[np.int32]
+Order = Literal["rgb", "bgr"]
+"""Of an image's channels."""
 
 
 @dataclass(frozen=True, eq=False)

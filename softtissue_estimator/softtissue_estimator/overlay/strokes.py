@@ -5,9 +5,9 @@ import math
 from softtissue_estimator.overlay.libraries import compiled
 from softtissue_estimator.overlay.rasteriser import Bytes, Floats, Numbers
 
-HALVED_M = 0.03
+HALVED_M = 0.05
 """Depth below the surface at which what is drawn is half as strong as at it."""
-FAINTEST = 0.25
+FAINTEST = 0.4
 """Strength of what lies deepest."""
 BAND = 0.35
 """Strength of the band of one standard deviation, beside that of the line."""

@@ -75,6 +75,18 @@ def test_points_behind_the_camera_and_beyond_the_lens_are_nowhere():
     np.testing.assert_array_equal(np.isnan(camera.project(points)).any(axis=1), [1, 1, 1, 1, 0])
 
 
+def test_only_what_is_on_the_image_is_shown():
+    camera = make_camera((640, 480), MATRIX)
+    x, y = (
+        ((column - 322.3) / 520.0 for column in (-0.4, 639.4)),
+        ((row - 236.8) / 515.0 for row in (-0.4, 479.4)),
+    )
+    corners = np.array([[column, row, 1.0] for column, row in zip(x, y, strict=True)])
+    assert camera.shows(corners).all()
+    assert not (camera.shows(corners + np.array([[-1.0], [1.0]]) * [0.001, 0.0, 0.0])).any()
+    assert not (camera.shows(corners + np.array([[-1.0], [1.0]]) * [0.0, 0.001, 0.0])).any()
+
+
 def test_projection_matrix_of_the_right_eye_shifts_points():
     """P = K [I | t], t = (-baseline, 0, 0): the right eye sees everything further to the left."""
     projection = [500.0, 0.0, 320.0, -500.0 * 0.005, 0.0, 500.0, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0]

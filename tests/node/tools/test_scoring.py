@@ -53,6 +53,30 @@ def test_error_is_measured_where_a_viewer_draws_if_the_true_pose_is_told():
     assert scoring.target_registration_error_mm(record)["after"] == pytest.approx({"mean": 1.5, "max": 3.0})
 
 
+def test_markers_are_compared_on_the_image_too():
+    """A camera of 500 pixels, 0.2 m away: 1 mm to the side is 2.5 pixels, 1 mm along the axis is next to nothing."""
+    record = scoring.Record(reference=np.zeros((2, 3)), sent_ns={1: 0}, answered_ns={1: 5})
+    record.truth = {1: np.array([[0.01, 0.0, 0.0], [0.0, 0.0, 0.02]])}
+    record.estimate = {1: np.array([[0.009, 0.0, 0.0], [0.0, 0.0, 0.019]])}
+    pose = np.eye(4)
+    pose[2, 3] = 0.2
+    record.fitted, record.true_pose = {1: pose}, {1: pose}
+    assert scoring.reprojection_error_px(record) == {}
+    record.project = lambda points: 500.0 * points / points[:, 2:]
+    record.shows = lambda points: points[:, 2] > 0.0
+    found = scoring.reprojection_error_px(record)
+    assert found["before"] == pytest.approx({"mean": 12.5, "max": 25.0})
+    assert found["after"] == pytest.approx({"mean": 1.25, "max": 2.5})
+    assert found["markers"][1] == pytest.approx({"mean": 0.0, "max": 0.0, "frames": 1})
+    assert "after mean 1.2" in scoring.table(scoring.make_report(record), "title")
+    record.shows = lambda points: points[:, 0] > 0.0
+    found = scoring.reprojection_error_px(record)
+    assert found["after"] == pytest.approx({"mean": 2.5, "max": 2.5})
+    assert found["markers"] == [pytest.approx({"mean": 2.5, "max": 2.5, "frames": 1}), None]
+    record.shows = lambda points: points[:, 0] > 1.0
+    assert scoring.reprojection_error_px(record) == {}
+
+
 def test_honest_sigma_is_that_of_one_component():
     record = scoring.Record(reference=np.zeros((2, 3)))
     record.truth = {1: np.zeros((2, 3)), 2: np.zeros((2, 3))}

@@ -10,7 +10,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.overlay.camera import LARGEST_SIDE, Camera, make_camera
 from softtissue_estimator.overlay.libraries import cv2
-from softtissue_estimator.overlay.painter import Order
+from softtissue_estimator.overlay.scene import Order
 from softtissue_estimator.ros.inputs.conversions import check_stamp, stamp_ns, time_message
 from softtissue_estimator.ros.outputs.serialised import SENTINEL_STAMP, Template
 from softtissue_estimator.support.sentences import one_sentence

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.errors import InvalidInputError, SoftTissueError
+from softtissue_estimator.errors import InvalidInputError, MissingDependencyError, SoftTissueError
 from softtissue_estimator.organ.organ_file import read_organ_file
 from softtissue_estimator.ros.tools.demo_picture import draw, read_recording
 from softtissue_estimator.ros.tools.demo_runs import SCENE, UNREGISTERED, Run
@@ -29,6 +29,7 @@ from softtissue_estimator.support.resources import (
 # Preparing an organ for the first time takes up to minutes on a busy machine; afterwards it is cached.
 START_TIMEOUT_S = 300
 SCORE_TIMEOUT_S = 60.0
+VIEW = "view.npz"
 
 
 @dataclass(frozen=True)
@@ -123,6 +124,8 @@ def play(run: Run, options: Options) -> dict[str, Any]:
     if run.snapshot_ns is not None:
         score += ["--organ", str(options.organ), "--snapshot", str(folder / "snapshot.npz")]
         score += ["--snapshot-stamp", str(run.snapshot_ns)]
+    if run.view_ns:
+        score += ["--view", str(folder / VIEW), "--view-stamps", *map(str, run.view_ns)]
     replay = [str(executable("replay")), str(run.bag), "--rate", str(options.rate), "--subscribers", "2"]
     replay += ["--timeout", str(START_TIMEOUT_S), "--report", str(folder / "replay.json")]
     replay += ["--wait-for", run.clouds, "--ros-args", *played_as]
@@ -182,7 +185,11 @@ def run(options: Options) -> int:
         recording = read_recording(options.bag, read_organ_file(options.organ).frame)
         peak_ns = recording.peak_ns
         runs += [Run("pairs", name, options.bag, snapshot_ns=peak_ns) for name in options.estimators]
-    runs += [Run(name, default, bundled_scene(), *SCENE[name]) for name in options.inputs if name in SCENE]
+    scene = _scene_images(options)
+    for name in (name for name in options.inputs if name in SCENE):
+        # The first of them is drawn on the laparoscope's image.
+        stamps = () if scene is None or any(run.view_ns for run in runs) else tuple(scene.stamps)
+        runs.append(Run(name, default, bundled_scene(), *SCENE[name], view_ns=stamps))
     played = []
     for each in runs:
         print(f"==> {each.title}: starting node, replay and score", flush=True)
@@ -192,12 +199,36 @@ def run(options: Options) -> int:
         print("==> drawing the picture", flush=True)
         snapshot, picture = options.out / default / "snapshot.npz", options.out / "phantom.png"
         draw(recording, options.organ, snapshot, default, picture)
+    if scene is not None:
+        _draw_scene(scene, next(run for run in runs if run.view_ns), options)
     print()
     for each, report in played:
         print(table(report, f"{each.title}{' (default)' if each.estimator == default else ''}"))
         print()
     print(f"report {options.out / 'report.json'}   picture {options.out / 'phantom.png'}")
     return _judge(default, played)
+
+
+def _scene_images(options: Options) -> Any:
+    """Read the images of the bundled scene, if it is played and can be drawn on; None otherwise."""
+    if not any(name in SCENE for name in options.inputs):
+        return None
+    try:
+        from softtissue_estimator.ros.tools.demo_overlay import read_scene_images
+    except MissingDependencyError as error:
+        print(f"note: no picture of the overlay: {error}", file=sys.stderr)
+        return None
+    return read_scene_images(bundled_scene())
+
+
+def _draw_scene(scene: Any, run: Run, options: Options) -> None:
+    from softtissue_estimator.ros.tools.demo_overlay import draw_overlay
+
+    print("==> drawing the overlay", flush=True)
+    try:
+        draw_overlay(scene, options.organ, options.out / run.folder / VIEW, options.out / "overlay.png")
+    except InvalidInputError as error:
+        print(f"note: no picture of the overlay: {error}", file=sys.stderr)
 
 
 def _summary(default: str, played: list[tuple[Run, dict[str, Any]]]) -> dict[str, Any]:
@@ -211,6 +242,7 @@ def _summary(default: str, played: list[tuple[Run, dict[str, Any]]]) -> dict[str
             "tre_mm": {when: report["tre_mm"].get(when) for when in ("before", "after")},
             "latency_ms": report["latency_ms"],
             "rms_z": report["rms_z"],
+            "reprojection_px": report["reprojection_px"],
             "first_answer_s": report["first_answer_s"],
         }
         for run, report in played

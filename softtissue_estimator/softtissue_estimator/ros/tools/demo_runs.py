@@ -30,6 +30,8 @@ class Run:
         Topic of the bag that is played as `surface_points`.
     snapshot_ns : int or None
         Stamp of the frame that is kept for the picture.
+    view_ns : tuple of int
+        Stamps of frames of which one is kept for the picture of the overlay, best first.
     """
 
     input: str
@@ -38,6 +40,7 @@ class Run:
     remap: tuple[str, ...] = ()
     clouds: str = "surface_points"
     snapshot_ns: int | None = None
+    view_ns: tuple[int, ...] = ()
 
     @property
     def folder(self) -> str:

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.errors import InvalidInputError, MissingDependencyError
 from softtissue_estimator.ros.runtime import Spinner, StopRequest, run_tool
+from softtissue_estimator.ros.tools.kept import KeptView, Snapshot
 from softtissue_estimator.ros.tools.scoring import Record, failures, make_report, table
 
 FloatArray = NDArray[np.float64]
@@ -39,39 +40,22 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         "--snapshot-stamp", type=int, default=0, help="… of the first with this stamp (ns) or later"
     )
     parser.add_argument("--organ", type=Path, help="… at all vertices of this organ (folder)")
+    parser.add_argument(
+        "--view", type=Path, help="write one answer as the overlay draws it to this .npz file"
+    )
+    parser.add_argument(
+        "--view-stamps",
+        type=int,
+        nargs="+",
+        default=[],
+        metavar="NS",
+        help="… of the first of these stamps with one",
+    )
     parser.add_argument("--title", default="score", help="heading of the table")
     options = parser.parse_args(arguments)
     if options.snapshot is not None and options.organ is None:
         parser.error("--snapshot: expected --organ too, got none")
     return options
-
-
-class Snapshot:
-    """The estimate of one frame at all vertices of an organ and at the markers; asked for once.
-
-    Parameters
-    ----------
-    points : (q, 3) float64
-        Preoperative positions, m, organ frame.
-    stamp_ns : int
-        The first answer with this stamp or a later one is asked for, nanoseconds.
-    """
-
-    def __init__(self, points: FloatArray, stamp_ns: int) -> None:
-        self.points, self.stamp_ns = points, stamp_ns
-        self.asked = False
-        self.result: tuple[int, FloatArray] | None = None
-
-    def take(self, stamp_ns: int, points: FloatArray, _sigma: FloatArray) -> None:
-        """Take the estimated positions (m) and the stamp of the cloud they come from."""
-        self.result = stamp_ns, points
-
-    def write(self, path: Path) -> None:
-        """Write stamp and positions to a .npz file."""
-        if self.result is not None:
-            stamp, points = self.result
-            vertices = len(self.points)
-            np.savez(path, stamp=stamp, positions=points[:vertices], markers=points[vertices:])
 
 
 class Listener:
@@ -83,18 +67,20 @@ class Listener:
     name : str
         Name of the node under test.
     snapshot : Snapshot, optional
+    view : KeptView, optional
     """
 
-    def __init__(self, node: Any, name: str, snapshot: Snapshot | None) -> None:
+    def __init__(self, node: Any, name: str, snapshot: Snapshot | None, view: KeptView | None = None) -> None:
         from rclpy.qos import QoSProfile
-        from sensor_msgs.msg import PointCloud2
+        from sensor_msgs.msg import CameraInfo, PointCloud2
         from softtissue_msgs.msg import EstimatorStatus
         from softtissue_msgs.srv import WarpPoints
 
         self.record = Record()
         self.last_news_s = time.monotonic()
         self.problem: str | None = None
-        self._snapshot = snapshot
+        self._snapshot, self._view = snapshot, view
+        self.camera_info: Any = None
         self._node, self._request = node, WarpPoints.Request
         self._client = node.create_client(WarpPoints, f"{name}/warp_points")
         self._qos = QoSProfile(depth=QUEUE)
@@ -103,6 +89,11 @@ class Listener:
             node.create_subscription(PointCloud2, f"{name}/deformed_points", self._on_answer, self._qos),
         ]
         node.create_subscription(PointCloud2, "markers_truth", self._on_truth, self._qos)
+        node.create_subscription(CameraInfo, "camera_info", self._on_camera, self._qos)
+        if view is not None:
+            node.create_subscription(
+                PointCloud2, f"{name}/deformed_surface", lambda m: view.take(m, surface=True), self._qos
+            )
         self._listen_to_poses(name)
         self._clouds: Any = None
 
@@ -183,6 +174,8 @@ class Listener:
         self.last_news_s = time.monotonic()
         stamp = stamp_ns(message.header.stamp)
         self.record.answered_ns[stamp] = now
+        if self._view is not None:
+            self._view.take(message)
         if not self._client.service_is_ready():
             return
         if self.record.reference is not None:
@@ -212,6 +205,24 @@ class Listener:
         self.record.estimate[stamp] = points
         if np.isfinite(sigma).all():
             self.record.sigma[stamp] = sigma
+
+    def _on_camera(self, message: Any) -> None:
+        self.camera_info = message
+
+    def use_camera(self) -> None:
+        """Let the score compare markers on the image, if a camera was told of and OpenCV is installed."""
+        if self.camera_info is None:
+            return
+        try:
+            from softtissue_estimator.ros.overlay.images import read_camera
+
+            camera = read_camera(self.camera_info, rectified=False)
+        except MissingDependencyError:
+            return  # an extra: the rest is scored without it
+        except InvalidInputError as error:
+            self.problem = f"camera_info: {error}"
+            return
+        self.record.project, self.record.shows = camera.project, camera.shows
 
     def _on_truth(self, message: Any) -> None:
         from softtissue_estimator.ros.inputs.conversions import read_cloud
@@ -253,7 +264,8 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
     snapshot = None
     if options.snapshot is not None:
         snapshot = Snapshot(load_organ(options.organ).query_points, options.snapshot_stamp)
-    listener = Listener(node, options.node, snapshot)
+    view = None if options.view is None else KeptView(options.view_stamps)
+    listener = Listener(node, options.node, snapshot, view)
     spinner = Spinner(node, lambda error: stop.stop(1))
     while not stop.event.wait(0.1) and not listener.connected():
         pass
@@ -264,12 +276,15 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
         pass
     spinner.stop(2.0)
     node.destroy_node()
+    listener.use_camera()
     report = make_report(listener.record)
     print(table(report, options.title), flush=True)
     if options.report is not None:
         options.report.write_text(json.dumps(report, indent=2) + "\n")
     if snapshot is not None:
         snapshot.write(options.snapshot)
+    if view is not None:
+        view.write(options.view, listener.record)
     problems = failures(report) + ([listener.problem] if listener.problem else [])
     for problem in problems:
         print(f"error: {problem}", file=sys.stderr)

@@ -1,5 +1,6 @@
 """Arithmetic of the score: which frames were answered, how fast, and how far off the markers are. Knows no ROS."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -35,6 +36,9 @@ class Record:
         As the node counted them.
     stages : dict
         For every stage of the node's work, the seconds that it took, one entry an answered cloud.
+    project, shows : callable or None
+        Of the camera that has the cloud's frame: map points (k, 3) m to columns and rows (k, 2 or more), pixels, and
+        tell which of them are on its image (k,).
     """
 
     sent_ns: dict[int, int] = field(default_factory=dict)
@@ -48,6 +52,8 @@ class Record:
     dropped: int = 0
     refused: int = 0
     stages: dict[str, list[float]] = field(default_factory=dict)
+    project: Callable[[FloatArray], FloatArray] | None = None
+    shows: Callable[[FloatArray], NDArray[np.bool_]] | None = None
 
     @property
     def answered(self) -> int:
@@ -137,6 +143,44 @@ def target_registration_error_mm(record: Record) -> dict[str, Any]:
     }
 
 
+def reprojection_error_px(record: Record) -> dict[str, Any]:
+    """Return how far markers are from where they are truly seen on the camera's image, before and after, pixels.
+
+    Means and maxima over the frames of `target_registration_error_mm` and the markers that are in the image there;
+    `markers` has one entry a marker, with the number of its frames, or None for one that never is. Empty without a
+    camera or the true pose in its frame.
+    """
+    reference, project, shows = record.reference, record.project, record.shows
+    stamps = [stamp for stamp in record.scored() if stamp in record.fitted and stamp in record.true_pose]
+    if reference is None or project is None or shows is None:
+        return {}
+    before, after, counted_in = [], [], []
+    for stamp in stamps:
+        if np.linalg.norm(record.truth[stamp] - reference, axis=1).mean() < DISPLACED_M:
+            continue
+        motion = record.true_pose[stamp]
+        placed = [
+            points @ motion[:3, :3].T + motion[:3, 3]
+            for points in (record.truth[stamp], reference, record.estimated(stamp))
+        ]
+        seen, first, found = (project(points)[:, :2] for points in placed)
+        before.append(np.linalg.norm(first - seen, axis=1))
+        after.append(np.linalg.norm(found - seen, axis=1))
+        counted_in.append(shows(placed[0]))
+    both, counted = np.array([before, after]), np.array(counted_in)
+    if not counted.any():
+        return {}
+    counted &= np.isfinite(both).all(axis=0)  # far beside the image a lens's distortion says nothing
+    return {
+        "before": _summary(both[0][counted]),
+        "after": _summary(both[1][counted]),
+        "markers": [
+            {**_summary(errors[here]), "frames": int(here.sum())} if here.any() else None
+            for errors, here in zip(both[1].T, counted.T, strict=True)
+        ],
+    }
+
+
 def root_mean_square_z(record: Record) -> float | None:
     """Return the root mean square of |error| / (sqrt(3) sigma) over markers and scored frames: 1 is honest.
 
@@ -168,6 +212,7 @@ def make_report(record: Record) -> dict[str, Any]:
         "first_answer_s": first_answer_s(record),
         "stages_ms": stages_ms(record),
         "tre_mm": target_registration_error_mm(record),
+        "reprojection_px": reprojection_error_px(record),
         "rms_z": root_mean_square_z(record),
     }
 
@@ -220,6 +265,12 @@ def table(report: dict[str, Any], title: str) -> str:
             lines.append(
                 f"  {name:12}{before['mean']:12.1f}{before['max']:8.1f}{after['mean']:13.1f}{after['max']:8.1f}"
             )
+    if report["reprojection_px"]:
+        before, after = (report["reprojection_px"][when] for when in ("before", "after"))
+        lines.append(
+            f"  markers on the image (pixels): before mean {before['mean']:.1f}  max {before['max']:.1f}"
+            f"   after mean {after['mean']:.1f}  max {after['max']:.1f}"
+        )
     if report["rms_z"] is not None:
         lines.append(f"  rms z    {report['rms_z']:.2f}   (error over sqrt(3) sigma; 1 is honest)")
     return "\n".join(lines)

@@ -19,6 +19,7 @@ def aims(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
     """
     cuda = summary["plan"]["device"] == "cuda"
     rows = _gpu(summary) if cuda else _cpu(summary)
+    rows += _overlays(summary["end_to_end"])
     rows += [
         _most("cloud of 40,000 points to arrays, ms", 1.0, _path(summary, "cloud to arrays", 40_000)),
         _most("50,000 deformed vertices to bytes, ms", 1.0, _path(summary, "answer to bytes", 50_000)),
@@ -68,13 +69,32 @@ def _gpu(summary: Mapping[str, Any]) -> list[dict[str, Any] | None]:
     ]
 
 
-def _runs(rows: Iterable[Row], rate_hz: float) -> list[Row]:
+def _overlays(rows: Iterable[Row]) -> list[dict[str, Any] | None]:
+    rows = list(rows)
+    drawn = [row for row in rows if row.get("overlay")]
+
+    def p95(images: str) -> list[float | None]:
+        return [row["overlay"]["p95_ms"] for row in drawn if row["overlay"]["images"] == images]
+
+    beside = []
+    for row in drawn:
+        same = ("estimator", "points", "rate_hz", "structures_vertices")
+        alone = [r["p95_ms"] for r in rows if _plain(r) and all(r[key] == row[key] for key in same)]
+        if alone and alone[0] and row["p95_ms"]:
+            beside.append(round(row["p95_ms"] / alone[0], 2))
     return [
-        row
-        for row in rows
-        if (row["points"], row["rate_hz"]) == (_AIM_POINTS, rate_hz)
-        and not (row["markers"] or row["services"])
+        _most("overlay, 640x480 at 25 Hz, image to image, p95, ms", 60.0, p95("640x480@25")),
+        _most("overlay, 1920x1080 at 10 Hz, image to image, p95, ms", 130.0, p95("1920x1080@10")),
+        _most("p95 of the node beside an overlay over that without", 1.3, beside),
     ]
+
+
+def _plain(row: Row) -> bool:
+    return not (row["markers"] or row["services"] or row.get("overlay"))
+
+
+def _runs(rows: Iterable[Row], rate_hz: float) -> list[Row]:
+    return [row for row in rows if (row["points"], row["rate_hz"]) == (_AIM_POINTS, rate_hz) and _plain(row)]
 
 
 def _share(row: Row) -> float:

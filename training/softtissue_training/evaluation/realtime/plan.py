@@ -45,6 +45,8 @@ class RealtimePlan:
         a stream.
     seed
         Of points and noise.
+    overlays
+        Images that an overlay draws on beside the first node of the first organ, as `latency --overlay` takes them.
     """
 
     estimators: tuple[str, ...]
@@ -61,6 +63,7 @@ class RealtimePlan:
     soak_s: float
     quick: bool
     seed: int = 0
+    overlays: tuple[str, ...] = ()
 
     @property
     def middle_points(self) -> int:
@@ -87,6 +90,7 @@ RATES_HZ = (10.0, 30.0, 60.0)
 # A GPU is to keep up with this.
 GPU_RATES_HZ = (*RATES_HZ, 100.0)
 VERTICES = (5_000, 50_000)
+OVERLAYS = ("640x480@25", "1920x1080@10")
 # As in the in-silico benchmark; between; near the organ's own triangles.
 ELEMENT_SIZES_M = (0.010, 0.007, 0.005)
 
@@ -100,6 +104,7 @@ def make_plan(quick: bool, device: str, estimators: tuple[str, ...] = ESTIMATORS
         "rates": rates,
         "vertices": VERTICES,
         "device": device,
+        "overlays": OVERLAYS,
     }
     if quick:
         return RealtimePlan(

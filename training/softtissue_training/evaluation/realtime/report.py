@@ -39,6 +39,18 @@ _MARKER_COLUMNS = (
     ("markers p50", "markers_p50_ms"),
     ("markers p95", "markers_p95_ms"),
 )
+_OVERLAY_COLUMNS = (
+    ("images", "images"),
+    ("p50", "p50_ms"),
+    ("p95", "p95_ms"),
+    ("max", "max_ms"),
+    ("sent", "sent"),
+    ("shown", "shown"),
+    ("cores", "cpu_share"),
+    ("RSS, MB", "rss_mb"),
+    ("node", "node"),
+    ("its p95", "node_p95_ms"),
+)
 _SOAK_COLUMNS = (
     ("estimator", "estimator"),
     ("sent", "sent"),
@@ -147,7 +159,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
 
 def _streams(rows: Sequence[Row]) -> list[str]:
     """Return the tables of all that was measured while the node answers a stream of clouds."""
-    plain = [row for row in rows if not (row["markers"] or row["services"])]
+    plain = [row for row in rows if not (row["markers"] or row["services"] or row.get("overlay"))]
     soaks = [row for row in plain if row["seconds"] >= SOAK_S]
     columns = (*_STREAM_COLUMNS[:8], *_MARKER_COLUMNS)
     heard = ({name: row.get(name) for _, name in columns} for row in rows if row["markers"])
@@ -156,9 +168,25 @@ def _streams(rows: Sequence[Row]) -> list[str]:
         _figures(_STREAM_COLUMNS, [row for row in plain if row not in soaks]),
         "With the markers heard; their own latency behind:",
         _figures(columns, heard),
+        *_overlays(rows),
         *_soak(soaks),
         "## Parameters and services while the node estimates, ms",
         _table(["estimator", "points", "Hz", "service", "calls", "p50", "p95", "max"], _services(rows)),
+    ]
+
+
+def _overlays(rows: Iterable[Row]) -> list[str]:
+    drawn = [
+        {**row["overlay"], "node": f"{row['estimator']}, {row['points']} points, {row['rate_hz']:g} Hz"}
+        | {"node_p95_ms": row["p95_ms"]}
+        for row in rows
+        if row.get("overlay")
+    ]
+    if not drawn:
+        return []
+    return [
+        "## From image in to image out of an overlay beside the node, ms",
+        _figures(_OVERLAY_COLUMNS, drawn),
     ]
 
 

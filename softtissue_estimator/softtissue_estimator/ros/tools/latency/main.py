@@ -9,6 +9,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.runtime import Spinner, StopRequest, limit_threads, run_tool
 
 INTERRUPTED = 130
@@ -37,6 +38,13 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         "--services", action="store_true", help="one more run of the middle one, services called all the time"
     )
     parser.add_argument(
+        "--overlay",
+        nargs="+",
+        default=[],
+        metavar="COLUMNSxROWS@RATE",
+        help="one more run of the middle one for each of these, an overlay drawing on such images beside the node",
+    )
+    parser.add_argument(
         "--messages",
         type=int,
         metavar="N",
@@ -59,11 +67,17 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         )
     if not all(":=" in given for given in options.parameter):
         parser.error(f"--parameter: expected NAME:=VALUE, got {' '.join(options.parameter)}")
+    from softtissue_estimator.ros.tools.latency.overlay import parse_images
+
+    try:
+        options.overlay = [parse_images(text) for text in options.overlay]
+    except InvalidInputError as error:
+        parser.error(str(error))
     return options
 
 
 def combinations(options: argparse.Namespace) -> list[Any]:
-    """List the runs: the grid of points and rates, then those with markers and with services."""
+    """List the runs: the grid of points and rates, then those with markers, with services and with an overlay."""
     from softtissue_estimator.ros.tools.latency.session import Combination
 
     runs = [Combination(p, r, options.seconds) for p, r in product(options.points, options.rates)]
@@ -72,6 +86,7 @@ def combinations(options: argparse.Namespace) -> list[Any]:
         runs.append(Combination(*middle, options.seconds, markers=True))
     if options.services:
         runs.append(Combination(*middle, options.seconds, services=True))
+    runs += [Combination(*middle, options.seconds, images=images) for images in options.overlay]
     return runs
 
 
@@ -143,6 +158,8 @@ def line(row: dict[str, Any]) -> str:
     also = [name for name in ("markers", "services") if row[name]]
     what = f"{row['estimator']} on {row['device']}, {row['points']} points, {row['rate_hz']:g} Hz"
     what += f" (with {', '.join(also)})" if also else ""
+    if row["overlay"] is not None:
+        what += f" (with an overlay on {row['overlay']['images']})"
     if row["p50_ms"] is None:
         return f"{what}: none of {row['sent']} answered, {row['dropped']} dropped, {row['refused']} refused"
     text = (
@@ -150,6 +167,13 @@ def line(row: dict[str, Any]) -> str:
         f"   answered {row['answered']} of {row['sent']}   age at most {row['age_max_ms'] or 0.0:.0f} ms"
         f"   cores {row['cpu_share']:.2f}   {row['rss_mb']:.0f} MB"
     )
+    drawn = row["overlay"]
+    if drawn is not None and drawn["p50_ms"] is not None:
+        text += (
+            f"\n  overlay: p50 {drawn['p50_ms']:.1f}  p95 {drawn['p95_ms']:.1f}  max {drawn['max_ms']:.1f} ms an image"
+            f"   shown {drawn['shown']} of {drawn['sent']}   cores {drawn['cpu_share']:.2f}"
+            f"   {drawn['rss_mb']:.0f} MB"
+        )
     for service, times in row.get("service_ms", {}).items():
         if times["calls"]:
             text += f"\n  {service}: p50 {times['p50_ms']:.1f}  max {times['max_ms']:.1f} ms in {times['calls']} calls"

@@ -15,6 +15,7 @@ from softtissue_estimator.errors import SoftTissueError
 from softtissue_estimator.organ.organ import Organ, load_organ
 from softtissue_estimator.ros.runtime import StopEvent
 from softtissue_estimator.ros.tools.latency.control import Remote
+from softtissue_estimator.ros.tools.latency.overlay import Images, Overlay, open_overlay
 from softtissue_estimator.ros.tools.latency.probe import Probe
 from softtissue_estimator.ros.tools.latency.statistics import Run, summarise
 from softtissue_estimator.ros.tools.latency.usage import cpu_share, gpu_memory_mb, usage_of
@@ -48,6 +49,7 @@ class Combination:
     warm_up_s: float = 1.0
     markers: bool = False
     services: bool = False
+    images: Images | None = None
 
 
 class Interrupted(Exception):
@@ -69,8 +71,11 @@ class Session:
         scene: Scene,
         folder: Path,
         stop: StopEvent,
+        path: Path,
     ) -> None:
         from softtissue_msgs.srv import Reset
+
+        self._path = path
 
         self._ros_node, self._sender, self._receiver = ros_node, sender, receiver
         self._organ, self._scene, self._folder, self._stop = organ, scene, folder, stop
@@ -106,7 +111,19 @@ class Session:
                 return
 
     def measure(self, child: "subprocess.Popen[str]", what: Combination) -> dict[str, Any]:
-        """Measure one run through a running node."""
+        """Measure one run through a running node, with an overlay beside it if images are said."""
+        if what.images is None:
+            return {"overlay": None, **self._measure(child, what, None)}
+        with open_overlay(
+            self._path, what.images, NAMESPACE, self._folder, lambda done, what: self._wait(child, done, what)
+        ) as overlay:
+            overlay.begin()
+            row = self._measure(child, what, overlay)
+            return {"overlay": overlay.end(what.warm_up_s), **row}
+
+    def _measure(
+        self, child: "subprocess.Popen[str]", what: Combination, overlay: Overlay | None
+    ) -> dict[str, Any]:
         self._ask_sender("prepare", points=what.points, rate_hz=what.rate_hz)
         self._receiver.ask("begin", markers=what.markers)
         self._wait(child, self._connected, "publishers and subscriptions to find each other")
@@ -117,6 +134,8 @@ class Session:
         self._pause(warm_up / what.rate_hz)
         probe = Probe(self._ros_node, NAME, self._organ.query_points) if what.services else None
         before = usage_of(child.pid)
+        if overlay is not None:
+            overlay.measure()
         self._pause((count - 1) / what.rate_hz)
         sent = self._sender.ask("end")
         after = usage_of(child.pid)
@@ -230,7 +249,7 @@ def open_session(ros_node: Any, path: Path, scene: Scene, log: Path, stop: StopE
             command += ["--ros-args", "-r", f"__ns:={NAMESPACE}"]
             pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
             remotes.append(Remote(stack.enter_context(process(command, **pipes)), module))
-        yield Session(ros_node, remotes[0], remotes[1], organ, scene, log, stop)
+        yield Session(ros_node, remotes[0], remotes[1], organ, scene, log, stop, path)
 
 
 def _cached() -> frozenset[str]:
