@@ -55,7 +55,7 @@ venv: $(VENV_STAMP) ## create .venv with everything pinned in constraints.txt
 
 build: $(BUILD_STAMP) ## set up .venv and build the ROS 2 workspace
 
-demo: $(BUILD_STAMP) ## the main job on the bundled phantom: table, out/demo/report.json, out/demo/phantom.png
+demo: $(BUILD_STAMP) ## the main job on the bundled phantom: table; report.json, phantom.png, overlay.png in out/demo
 	@scripts/demo $(DEMO_ARGS)
 
 bench: $(BUILD_STAMP) ## time of everything up to the whole path, out/bench/bench.json; QUICK=1: at most five minutes

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from softtissue_estimator.overlay.camera import Camera
 from softtissue_estimator.overlay.rasteriser import fill_depth, fill_triangles
 from softtissue_estimator.overlay.scene import FloatArray, Numbers
-from softtissue_estimator.overlay.strokes import CELL, draw_contour, draw_outlines, find_strength, mix
+from softtissue_estimator.overlay.strokes import draw_contour, draw_outlines, find_strength, mix
 
 Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]
@@ -18,6 +18,7 @@ COARSER = 4
 WIDEST_SHARE = 0.08
 """Of the image's rows: the half width of the widest band."""
 _REFERENCE_ROWS = 480  # of an image on which lines have their least width
+_CELLS = 120  # along the height of an image, in each of which a disc is drawn where a band is wide
 _LINE_PX = 1.0  # half width of a line there
 
 
@@ -79,7 +80,8 @@ class Drawing:
             extents,
         )
         widest = WIDEST_SHARE * camera.rows
-        cells = np.zeros((window.rows // CELL + 1, window.columns // CELL + 1), np.uint8)
+        cell = max(2, camera.rows // _CELLS)
+        cells = np.zeros((window.rows // cell + 1, window.columns // cell + 1), np.uint8)
         draw_outlines(
             self._labels,
             self._strength,
@@ -89,6 +91,7 @@ class Drawing:
             self._cover,
             self._owner,
             cells,
+            cell,
         )
         return extents
 

@@ -46,9 +46,9 @@ def vertex_normals(vertices: Floats, faces: Numbers, normals: Floats) -> None:
             normals[row, 2] /= length
 
 
-@compiled("UniTuple(int64, 2)(float64, float64, float64, float64, float64, float64, int64)")
+@compiled("UniTuple(int64, 2)(float64, float64, UniTuple(float64, 4), UniTuple(float64, 3), int64)")
 def covered_columns(
-    x: float, y: float, sx: float, sy: float, tx: float, ty: float, last: int
+    x: float, y: float, weights: tuple[float, ...], inverse: tuple[float, ...], last: int
 ) -> tuple[int, int]:
     """Find the first and the last column of a row of pixels whose centres a triangle covers.
 
@@ -56,27 +56,31 @@ def covered_columns(
     ----------
     x, y : float
         Column of the triangle's first corner, and how far the row is below it.
-    sx, sy, tx, ty : float
+    weights : (sx, sy, tx, ty)
         The weights of the second and third corner are sx (column - x) + sy y and tx (column - x) + ty y.
+    inverse : (float, float, float)
+        Of sx, tx and -(sx + tx); 0 for that of 0.
     last : int
         Last column of the image.
     """
     low, high = 0.0, float(last)
-    # The three weights, that of the first corner last, are a (column - x) + b.
+    second, third = weights[1] * y, weights[3] * y
+    # Each weight, that of the first corner last, is at least 0: bound + (column - x) / inverse >= 0.
     for side in range(3):
-        if side == 0:
-            a, b = sx, sy * y
-        elif side == 1:
-            a, b = tx, ty * y
-        else:
-            a, b = -sx - tx, 1.0 - sy * y - ty * y
-        if a > 0.0:
-            low = max(low, x - b / a)
-        elif a < 0.0:
-            high = min(high, x - b / a)
-        elif b < 0.0:
+        bound = second if side == 0 else third if side == 1 else 1.0 - second - third
+        if inverse[side] > 0.0:
+            low = max(low, x - bound * inverse[side])
+        elif inverse[side] < 0.0:
+            high = min(high, x - bound * inverse[side])
+        elif bound < 0.0:
             high = -1.0
     return math.ceil(low - 1e-6), math.floor(high + 1e-6)
+
+
+@compiled("float64(float64)")
+def inverse_of(number: float) -> float:
+    """Return the inverse, or 0 of 0."""
+    return 1.0 / number if number != 0.0 else 0.0
 
 
 @compiled("void(float32[:,::1], int32[:,::1], float32[:,::1])")
@@ -101,12 +105,14 @@ def fill_depth(pixels: Floats, faces: Numbers, nearness: Floats) -> None:
         if not abs(area) > 1e-9:  # also NaN
             continue
         sx, sy, tx, ty = vy / area, -vx / area, -uy / area, ux / area
+        weights = (sx, sy, tx, ty)
+        inverse = (inverse_of(sx), inverse_of(tx), inverse_of(-sx - tx))
         n1, n2 = pixels[b, 2] - pixels[a, 2], pixels[c, 2] - pixels[a, 2]
+        across = sx * n1 + tx * n2
         top = math.ceil(max(0.0, y0 + min(0.0, uy, vy)))
         bottom = math.floor(min(rows - 1.0, y0 + max(0.0, uy, vy)))
         for row in range(top, bottom + 1):
-            first, last = covered_columns(x0, row - y0, sx, sy, tx, ty, columns - 1)
-            across = sx * n1 + tx * n2
+            first, last = covered_columns(x0, row - y0, weights, inverse, columns - 1)
             start = pixels[a, 2] + (sy * n1 + ty * n2) * (row - y0) - across * x0
             for column in range(first, last + 1):
                 near = start + across * column
@@ -143,12 +149,14 @@ def fill_triangles(
         if not abs(area) > 1e-9:  # also NaN
             continue
         sx, sy, tx, ty = vy / area, -vx / area, -uy / area, ux / area
+        weights = (sx, sy, tx, ty)
+        inverse = (inverse_of(sx), inverse_of(tx), inverse_of(-sx - tx))
         n1, n2 = pixels[b, 2] - pixels[a, 2], pixels[c, 2] - pixels[a, 2]
+        across = sx * n1 + tx * n2
         top = math.ceil(max(0.0, y0 + min(0.0, uy, vy)))
         bottom = math.floor(min(rows - 1.0, y0 + max(0.0, uy, vy)))
         for row in range(top, bottom + 1):
-            first, last = covered_columns(x0, row - y0, sx, sy, tx, ty, columns - 1)
-            across = sx * n1 + tx * n2
+            first, last = covered_columns(x0, row - y0, weights, inverse, columns - 1)
             start = pixels[a, 2] + (sy * n1 + ty * n2) * (row - y0) - across * x0
             for column in range(first, last + 1):
                 near = start + across * column

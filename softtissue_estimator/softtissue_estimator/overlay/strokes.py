@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from softtissue_estimator.overlay.libraries import compiled
 from softtissue_estimator.overlay.rasteriser import Bytes, Floats, Numbers
 
@@ -13,8 +15,6 @@ BAND = 0.35
 """Strength of the band of one standard deviation, beside that of the line."""
 FILLED = 0.28
 """Strength of what is inside an outline."""
-CELL = 4
-"""Pixels along a side of the cells of a wide band."""
 
 
 @compiled(
@@ -59,13 +59,14 @@ def find_strength(
             extents[label, 2] = min(extents[label, 2], row)
             extents[label, 3] = max(extents[label, 3], row)
             extents[label, 4] += 1
-            outer = surface[(row + top) // coarser, (column + left) // coarser]
-            below = 0.0
-            if outer > 0.0:
-                x = (column + left - lens[0]) / lens[2]
-                y = (row + top - lens[1]) / lens[2]
-                below = (1.0 / nearness[row, column] - 1.0 / outer) * math.sqrt(1.0 + x * x + y * y)
-            strength[row, column] = max(FAINTEST, 1.0 / (1.0 + max(below, 0.0) / HALVED_M))
+            outer, near = surface[(row + top) // coarser, (column + left) // coarser], nearness[row, column]
+            found = 1.0
+            if outer > near:
+                # 1 / (1 + depth / HALVED_M), where the depth is (1 / near - 1 / outer) times the length of the ray.
+                x, y = (column + left - lens[0]) / lens[2], (row + top - lens[1]) / lens[2]
+                halved = near * outer * np.float32(HALVED_M)
+                found = halved / (halved + (outer - near) * math.sqrt(np.float32(1.0) + x * x + y * y))
+            strength[row, column] = max(FAINTEST, found)
 
 
 @compiled("boolean(uint8[:,::1], int64, int64)")
@@ -97,7 +98,8 @@ def draw_disc(
 
 
 @compiled(
-    "void(uint8[:,::1], float32[:,::1], float32[:,:,::1], float32, float32, float32[:,::1], uint8[:,::1], uint8[:,::1])"
+    "void(uint8[:,::1], float32[:,::1], float32[:,:,::1], float32, float32, float32[:,::1], uint8[:,::1],"
+    " uint8[:,::1], int32)"
 )
 def draw_outlines(
     labels: Bytes,
@@ -108,6 +110,7 @@ def draw_outlines(
     cover: Floats,
     owner: Bytes,
     cells: Bytes,
+    cell: int,
 ) -> None:
     """Draw a line round each label, and beside it a band whose half width is a standard deviation.
 
@@ -120,8 +123,10 @@ def draw_outlines(
         Half width of the line and the largest of the band, pixels.
     cover, owner : (rows, columns)
         Get how strongly outlines cover each pixel (0 to 1), and the label of the one that does.
-    cells : (rows // `CELL` + 1, columns // `CELL` + 1)
-        Zeros, which are overwritten: a band is made of one disc a cell.
+    cells : (rows // cell + 1, columns // cell + 1)
+        Zeros, which are overwritten: a wide band is made of one disc a cell.
+    cell : int
+        Pixels along the side of a cell.
     """
     rows, columns = labels.shape
     for row in range(rows):
@@ -133,10 +138,10 @@ def draw_outlines(
             sigma = min(drawn[row, column, 1], widest)
             if not sigma > line:  # also NaN
                 continue
-            if sigma > 2.0 * CELL:
-                if cells[row // CELL, column // CELL] == label:
+            if sigma > 2.0 * cell:
+                if cells[row // cell, column // cell] == label:
                     continue
-                cells[row // CELL, column // CELL] = label
+                cells[row // cell, column // cell] = label
             draw_disc(cover, owner, row, column, sigma, BAND * strength[row, column], label)
 
 

@@ -116,11 +116,14 @@ def draw_overlay(scene: SceneImages, organ_folder: Path, view: Path, path: Path)
     outline(image, camera, structures, transform_points(true_pose, scene.truth[stamp][:inside]), _WHITE)
     said = "coloured: estimated (band: sigma; dashed: margin of 10 mm)   white: true"
     if len(kept["markers"]) and len(kept["true_markers"]):
-        seen = camera.project(transform_points(true_pose, kept["true_markers"]))[:, :2]
-        found = camera.project(transform_points(fitted, kept["markers"]))[:, :2]
+        places = transform_points(true_pose, kept["true_markers"])
+        shown = camera.shows(places)
+        seen = camera.project(places)[shown, :2]
+        found = camera.project(transform_points(fitted, kept["markers"]))[shown, :2]
         _draw_markers(image, seen, found)
         error = np.linalg.norm(found - seen, axis=1) / _LARGER
-        said += f"   markers: + true, o estimated; mean {error.mean():.1f}, largest {error.max():.1f} pixels apart"
+        said += "   markers: + true, o estimated"
+        said += f"; mean {error.mean():.1f}, largest {error.max():.1f} pixels apart" if len(error) else ""
     path.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(path), np.concatenate([image, write_lines(camera.columns, said)]))
 

@@ -85,7 +85,7 @@ def _end(child: "subprocess.Popen[str]") -> None:
             continue
 
 
-def relay(stream: TextIO, log: Path) -> None:
+def relay(stream: TextIO, log: Path, name: str = "node") -> None:
     """Write a process's lines to a file, and to the terminal those that say how it goes on."""
     with log.open("w", encoding="utf-8") as file:
         for line in stream:
@@ -93,4 +93,4 @@ def relay(stream: TextIO, log: Path) -> None:
             file.flush()
             # Warnings come with every late frame; the table counts them.
             if "[WARN]" not in line:
-                print(f"  node: {line.rstrip()}", flush=True)
+                print(f"  {name}: {line.rstrip()}", flush=True)

@@ -99,7 +99,7 @@ def open_overlay(
         command += ["-r", f"registration:={REGISTRATION}", "-p", "maximum_age_s:=1.0"]
         child = stack.enter_context(process(command, stderr=subprocess.PIPE))
         log = folder / "overlay.log"
-        threading.Thread(target=relay, args=(child.stderr, log), name="relay", daemon=True).start()
+        threading.Thread(target=relay, args=(child.stderr, log, "overlay"), name="relay", daemon=True).start()
         command = [sys.executable, "-m", f"{__package__}.camera", str(organ)]
         command += [str(images.columns), str(images.rows), f"{images.rate_hz:g}", "--ros-args"]
         command += ["-r", f"__ns:={namespace}"]
