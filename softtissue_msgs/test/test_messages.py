@@ -6,12 +6,26 @@ import math
 import pytest
 from ament_index_python.packages import get_package_prefix
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, PoseStamped
 from rclpy.serialization import deserialize_message, serialize_message
-from softtissue_msgs.msg import Correspondences, EstimatorStatus, Structures
-from softtissue_msgs.srv import DecideRegistration, LoadOrgan, Reset, WarpPoints
+from softtissue_msgs.msg import Correspondences, Distances, EstimatorStatus, Structures
+from softtissue_msgs.srv import DecideRegistration, Distance, LoadOrgan, Reset, WarpPoints
 from std_msgs.msg import ColorRGBA, Header
 
 HEADER = Header(stamp=Time(sec=1_700_000_123, nanosec=987_654_321), frame_id="organ")
+
+DISTANCES = Distances(
+    header=HEADER,
+    estimate_stamp=Time(sec=1_700_000_122, nanosec=3),
+    names=["tumour", "vein"],
+    kinds=["lesion", "vessel"],
+    distance=[0.25, -0.125],
+    sigma=[0.5, 0.0625],
+    nearest=[Point(x=1.0, y=2.0, z=3.0), Point(x=4.0)],
+    covariance=[0.125 * i for i in range(18)],
+    ahead=[0.75, 0.875],
+    ahead_sigma=[0.375, math.inf],
+)
 
 # Every field has a value that is neither its default nor that of a neighbour of the same type; floats are exact in
 # single precision.
@@ -31,6 +45,12 @@ MESSAGES = {
         first_vertex=[0, 5, 9],
         first_face=[0, 2, 3],
         faces=[0, 1, 2, 2, 3, 4, 5, 7, 8],
+        surface_faces=[0, 2, 1],
+    ),
+    "Distances": DISTANCES,
+    "Distance.Request": Distance.Request(tool=PoseStamped(header=HEADER)),
+    "Distance.Response": Distance.Response(
+        result=Distance.Response.WRONG_FRAME, message="no pose", distances=DISTANCES
     ),
     "EstimatorStatus": EstimatorStatus(
         header=HEADER,
@@ -116,6 +136,8 @@ def test_every_field_is_exercised(name):
         (Correspondences, "sigma", "f"),
         (EstimatorStatus, "stage_seconds", "f"),
         (EstimatorStatus, "structure_sigmas", "f"),
+        (Distances, "distance", "d"),
+        (Distances, "covariance", "d"),
         (WarpPoints.Request, "points", "d"),
         (WarpPoints.Response, "points", "d"),
         (WarpPoints.Response, "displacement", "d"),
@@ -149,6 +171,18 @@ def test_nan_stands_for_no_answer():
                 "SUCCESS": 0,
                 "NO_ESTIMATE": 1,
                 "INVALID_POINTS": 2,
+                "WRONG_FRAME": 3,
+                "NOT_ACTIVE": 4,
+                "INTERNAL_ERROR": 5,
+                "BUSY": 6,
+            },
+        ),
+        (
+            Distance.Response,
+            {
+                "SUCCESS": 0,
+                "NO_ESTIMATE": 1,
+                "INVALID_TOOL": 2,
                 "WRONG_FRAME": 3,
                 "NOT_ACTIVE": 4,
                 "INTERNAL_ERROR": 5,

@@ -13,12 +13,14 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
+from geometry_msgs.msg import PoseStamped
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints
+from softtissue_msgs.msg import Distances
+from softtissue_msgs.srv import Distance, LoadOrgan, Reset, WarpPoints
 
 from integration.harness import (
     CAMERA_FROM_ORGAN,
@@ -33,6 +35,7 @@ from integration.harness import (
 )
 from memory_pools import pools_of
 from ros_domain import reserved
+from softtissue_estimator.ros.inputs.conversions import time_message
 from softtissue_estimator.support.resources import bundled_bag
 
 stamps = itertools.count(1_700_000_000_000_000_000, 50_000_000)
@@ -220,6 +223,47 @@ def test_warp_points_follows_the_answer(elastic, scene):
     response = client.call(WarpPoints, "warp_points", request)
     assert response.header.frame_id == "organ"
     np.testing.assert_allclose(np.asarray(response.points).reshape(-1, 3), moved, atol=1e-6)
+
+
+def test_tool_hears_how_far_it_is_from_the_answer(elastic, scene):
+    client, heard = elastic[1], []
+    listener = client.node.create_subscription(Distances, f"{client.name}/tool_distances", heard.append, 10)
+    tools = client.node.create_publisher(PoseStamped, "tool", 10)
+    client.wait(lambda: tools.get_subscription_count() and listener.get_publisher_count(), "tool's topics")
+    stamp = next(stamps)
+    client.clouds.publish(scene.cloud(stamp))
+    answer = read_answer(client.answer_of(stamp))
+    tumour = np.stack([answer[name][answer["structure"] == 0] for name in "xyz"], axis=1).astype(float)
+    tool = PoseStamped()
+    tool.header.frame_id, tool.header.stamp = "organ", time_message(stamp)
+    tip = tumour.mean(axis=0) + np.array([0.0, 0.0, 0.03])
+    tool.pose.position.x, tool.pose.position.y, tool.pose.position.z = tip.tolist()
+    tool.pose.orientation.x, tool.pose.orientation.w = (
+        1.0,
+        0.0,
+    )  # half a turn: the axis points down, at the tumour
+    response = client.call(Distance, "distance", Distance.Request(tool=tool))
+    assert response.result == Distance.Response.SUCCESS, response.message
+
+    def told():
+        tools.publish(tool)
+        client.spin(0.1)
+        return heard
+
+    client.wait(told, "distances")
+    for found in (heard[0], response.distances):
+        assert (found.names, found.kinds) == (["tumour", "vessel"], ["tumour", "vessel"])
+        assert (nanoseconds(found.header.stamp), nanoseconds(found.estimate_stamp)) == (stamp, stamp)
+        # A ball of 8 mm; the registration's estimated error is taken out besides.
+        assert found.distance[0] == pytest.approx(0.03 - 0.008, abs=0.002)
+        assert found.distance[0] == pytest.approx(np.linalg.norm(tumour - tip, axis=1).min(), abs=0.002)
+        assert found.ahead[0] == pytest.approx(found.distance[0], abs=0.001)
+        assert 0.0 < found.sigma[0] < 0.02
+        assert 1e-8 < np.trace(np.reshape(found.covariance, (2, 3, 3))[0]) < 3.0 * 0.02**2
+    np.testing.assert_allclose(heard[0].distance, response.distances.distance, atol=1e-9)
+    tool.header.frame_id = "moon"
+    response = client.call(Distance, "distance", Distance.Request(tool=tool))
+    assert response.result == Distance.Response.WRONG_FRAME and "'moon'" in response.message
 
 
 def test_warp_points_refuses_in_a_sentence(elastic, scene):

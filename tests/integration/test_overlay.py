@@ -231,9 +231,7 @@ def test_newest_image_is_drawn_and_none_is_queued(theatre):
     ("arguments", "words"),
     [
         (["--ros-args", "-p", "margin_mm:=-1.0"], "parameter margin_mm"),
-        (["--ros-args", "-p", "margin:=1.0"], "did you mean margin_mm?"),
         (["--ros-args", "-p", "image_transport:=theora"], "expected one of raw, compressed"),
-        (["image:=/camera"], "did you mean --ros-args -r image:=/camera?"),
     ],
 )
 def test_wrong_arguments_are_one_sentence_and_exit_code_2(tmp_path, domain, arguments, words):

@@ -82,17 +82,19 @@ def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
     def who(act: str, name: str) -> set[str]:
         return {role for role in ROLES if may(role, act, name)}
 
-    for topic in ("/surface_points", "/correspondences", "/camera_pose", "/image", "/camera_info"):
+    for topic in ("/surface_points", "/correspondences", "/camera_pose", "/image", "/camera_info", "/tool"):
         assert who("publish", topic) == {"tracker"}
     for topic in ("/registration", "/registration_with_covariance"):
         assert who("publish", topic) == {"registration"}
-    assert who("request", f"/{NODE}/warp_points") == {"display"}
+    about_points = {f"/{NODE}/{name}" for name in ("warp_points", "distance")}
+    for service in about_points:
+        assert who("request", service) == {"display"}
     for topic in ("deformed_points", "deformed_surface", "registration"):
         assert who("subscribe", f"/{NODE}/{topic}") == {"display", "overlay"}
     about_registration = {f"/{NODE}/{name}" for name in ("register", "decide_registration")}
     for service in about_registration:
         assert who("request", service) == {"registration"}
-    for service in node["reply"] - {f"/{NODE}/warp_points"} - about_registration:
+    for service in node["reply"] - about_points - about_registration:
         assert who("request", service) == {"operator"}, service
     for topic in node["publish"]:
         assert who("subscribe", topic) - {"tracker", "registration"}, topic

@@ -35,6 +35,14 @@ class RegistrationEstimate:
         translation = self.correction.apply(self.centre[None])[0] - self.centre
         return np.concatenate([translation, Rotation.from_matrix(self.correction.rotation).as_rotvec()])
 
+    def covariance_of(self, positions: FloatArray) -> FloatArray:
+        """Covariance (k, 3, 3) m^2 that it gives to points at positions (k, 3) m."""
+        lever = positions - self.centre
+        columns = np.zeros((len(positions), 3, 6))
+        columns[:, :, :3] = np.eye(3)
+        columns[:, :, 3:] = np.cross(np.eye(3)[None], lever[:, None]).transpose(0, 2, 1)
+        return np.asarray(columns @ self.covariance @ columns.transpose(0, 2, 1))
+
     @property
     def translation_m(self) -> float:
         """Distance by which the centre is misplaced."""

@@ -63,6 +63,28 @@ class Estimate(ABC):
         sigma : (k,) float64, m, or None
         """
 
+    def covariance_at(self, points: FloatArray) -> FloatArray | None:
+        """Covariance of where any preoperative points are now, seen with the registration and its error.
+
+        Here displacement and error are taken for independent, and the displacement's components too.
+
+        Parameters
+        ----------
+        points : (k, 3) float64
+            Preoperative positions, m, organ frame.
+
+        Returns
+        -------
+        (k, 3, 3) float64, m^2, organ's axes, or None if the estimator gives no standard deviations
+        """
+        displacement, sigma = self.displacement_at(points)
+        if sigma is None:
+            return None
+        found = np.square(sigma)[:, None, None] * np.eye(3)
+        if self.diagnosis.registration is not None:
+            found = found + self.diagnosis.registration.covariance_of(points + displacement)
+        return np.asarray(found)
+
 
 class Estimator(ABC):
     """Estimates where the inside of an organ is from an observation of its surface.

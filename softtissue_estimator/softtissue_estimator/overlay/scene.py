@@ -13,6 +13,9 @@ Numbers = NDArray[np.int32]
 Order = Literal["rgb", "bgr"]
 """Of an image's channels."""
 
+MOST_STRUCTURES = 255
+"""That can be told apart on an image."""
+
 
 @dataclass(frozen=True, eq=False)
 class Structures:
@@ -89,6 +92,8 @@ def make_structures(
         If the sizes contradict each other or a triangle names a row that is none of its structure's.
     """
     count = len(names)
+    if count > MOST_STRUCTURES:
+        raise InvalidInputError(f"structures: expected at most {MOST_STRUCTURES}, got {count}")
     if not (len(kinds) == len(colours) == count and len(first_vertex) == len(first_face) == count + 1):
         raise InvalidInputError(
             f"structures: expected {count} kinds and colours and {count + 1} places for {count} names, got"

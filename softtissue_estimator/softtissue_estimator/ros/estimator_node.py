@@ -14,8 +14,8 @@ from rclpy.logging import get_logger
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
-from softtissue_msgs.msg import EstimatorStatus, Structures
-from softtissue_msgs.srv import DecideRegistration, LoadOrgan, Register, Reset, WarpPoints
+from softtissue_msgs.msg import Distances, EstimatorStatus, Structures
+from softtissue_msgs.srv import DecideRegistration, Distance, LoadOrgan, Register, Reset, WarpPoints
 from visualization_msgs.msg import MarkerArray
 
 from softtissue_estimator.config import EstimatorConfig
@@ -24,6 +24,13 @@ from softtissue_estimator.registration.pose_process import PoseProcess
 from softtissue_estimator.ros import parameters
 from softtissue_estimator.ros.boundary import Boundary
 from softtissue_estimator.ros.cloud_stream import CloudStream
+from softtissue_estimator.ros.distances import (
+    MOST_CALLS,
+    ToolDistances,
+    answer_distance,
+    distances_message,
+    refuse_distance,
+)
 from softtissue_estimator.ros.engine import load_engine, organ_roots
 from softtissue_estimator.ros.inputs.counters import FrameCounters
 from softtissue_estimator.ros.inputs.registration import Registration
@@ -111,6 +118,16 @@ class EstimatorNode(ManagedNode):
             self._responder, self._registration, lambda: self._config, self.boundary, self._poses.find
         )
         self._warps = ServiceCalls("warp points", MOST_WARPS)
+        self._distances = ServiceCalls("distance", MOST_CALLS)
+        self._tool = ToolDistances(
+            self,
+            self.create_lifecycle_publisher(Distances, "~/tool_distances", OUTPUT_QOS),
+            lambda tool: distances_message(
+                tool, self._responder.answer, self._registration, self._config.no_data_timeout_s
+            ),
+            self.boundary.warn,
+            lambda error: self.boundary.sentence("tool distances", error),
+        )
         self._reset_s = -math.inf
         self._create_services()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -128,6 +145,7 @@ class EstimatorNode(ManagedNode):
         self.create_service(Register, "~/register", self._on_register, callback_group=waiting)
         self.create_service(DecideRegistration, "~/decide_registration", self._on_decide)
         self.create_service(WarpPoints, "~/warp_points", self._on_warp_points, callback_group=waiting)
+        self.create_service(Distance, "~/distance", self._on_distance, callback_group=waiting)
         self.create_service(Reset, "~/reset", self._on_reset)
 
     # Life cycle
@@ -235,6 +253,20 @@ class EstimatorNode(ManagedNode):
 
         if not await self._warps.done(warp, self.executor):
             refuse_warp(response)
+        return response
+
+    async def _on_distance(self, request: Distance.Request, response: Distance.Response) -> Distance.Response:
+        active, answer, timeout_s = (
+            self._stream.is_open,
+            self._responder.answer,
+            self._config.no_data_timeout_s,
+        )
+
+        def measure() -> None:
+            answer_distance(request, response, active, answer, self._registration, timeout_s)
+
+        if not await self._distances.done(measure, self.executor):
+            refuse_distance(response)
         return response
 
     def _on_reset(self, _request: Reset.Request, response: Reset.Response) -> Reset.Response:

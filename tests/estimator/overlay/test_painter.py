@@ -164,6 +164,8 @@ def test_structures_that_contradict_themselves_are_refused():
     rgb = np.zeros((1, 3))
     with pytest.raises(InvalidInputError, match="expected 1 kinds and colours"):
         make_structures(("a",), (), rgb, np.array([0, 3]), np.array([0, 1]), faces)
+    with pytest.raises(InvalidInputError, match="at most 255, got 256"):
+        make_structures(("a",) * 256, ("b",) * 256, np.zeros((256, 3)), np.zeros(257), np.zeros(257), faces)
     with pytest.raises(InvalidInputError, match="rise from 0"):
         make_structures(("a",), ("b",), rgb, np.array([0, 3]), np.array([0, 2]), faces)
     with pytest.raises(InvalidInputError, match="between its own vertices"):

@@ -10,9 +10,10 @@ from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, OrganNotFoundError, SoftTissueError
 from softtissue_estimator.estimators.diagnosis import Diagnosis, RegistrationEstimate
 from softtissue_estimator.estimators.elastic.doubts import Troubles, doubts
+from softtissue_estimator.estimators.elastic.estimate import ElasticEstimate
 from softtissue_estimator.estimators.elastic.memory import Known, reason_for_disbelief
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
-from softtissue_estimator.estimators.elastic.observed import Matchable, Observed
+from softtissue_estimator.estimators.elastic.observed import Matchable
 from softtissue_estimator.estimators.elastic.observed_pairs import ObservedPairs
 from softtissue_estimator.estimators.elastic.observed_surface import ObservedSurface, SurfaceObservation
 from softtissue_estimator.estimators.elastic.posterior import Posterior
@@ -26,7 +27,7 @@ from softtissue_estimator.estimators.elastic.single_frame import solve
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.estimators.elastic.tracking import ElasticTracker
 from softtissue_estimator.estimators.elastic.tracks import Tracks
-from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progress, silent
+from softtissue_estimator.estimators.estimator import Estimator, Progress, silent
 from softtissue_estimator.inference.device import choose_device, device_stopwatch, one_thread
 from softtissue_estimator.inference.stopwatch import Stopwatch
 from softtissue_estimator.observation.bare_cloud import NO_TRACK, BareCloud
@@ -40,57 +41,6 @@ from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
 IDENTITY = RigidMotion(np.eye(3), np.zeros(3))
-
-
-class ElasticEstimate(Estimate):
-    """Posterior displacement at the nodes of the coarse mesh.
-
-    Attributes
-    ----------
-    patches : Observed
-        What it was conditioned on.
-    seen : (k, 3) m
-        Where these were on the preoperative surface, those alone that belong to the organ.
-    misfit : (c, 3) float64
-        Observed displacement of each of these minus the answer's, m.
-    poisson_ratio : float
-        Of the organ, as far as the observation tells.
-    diagnosis : Diagnosis
-    """
-
-    def __init__(
-        self,
-        model: ElasticModel,
-        patches: Observed,
-        misfit: FloatArray,
-        poisson_ratio: float,
-        nodal_displacement: FloatArray,
-        nodal_sigma: FloatArray,
-        diagnosis: Diagnosis,
-        stages: dict[str, float],
-    ) -> None:
-        self.patches, self.misfit, self.poisson_ratio = patches, misfit, poisson_ratio
-        self.seen = patches.reference
-        self.diagnosis = diagnosis
-        self._mesh = model.mesh
-        self._nodal_displacement = nodal_displacement
-        self._nodal_variance = nodal_sigma**2
-        self.stages = stages
-        self.displacement, self.sigma = self.interpolated(model.organ.query_points, model.query)
-
-    def displacement_at(self, points: FloatArray) -> tuple[FloatArray, FloatArray | None]:
-        """See `Estimate.displacement_at`."""
-        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-            raise InvalidInputError(
-                f"points to warp: expected finite numbers of shape (k, 3), got {points.shape}"
-            )
-        return self.interpolated(points, self._mesh.interpolation(points))
-
-    def interpolated(self, points: FloatArray, interpolation: csr_array) -> tuple[FloatArray, FloatArray]:
-        """Displacement (k, 3) m and sigma (k,) m of points that `ElasticEstimator.interpolation` has located."""
-        # Weights below zero would subtract variance outside the mesh.
-        variance = np.maximum(interpolation @ self._nodal_variance, self._nodal_variance.min())
-        return np.asarray(interpolation @ self._nodal_displacement), np.sqrt(variance)
 
 
 class ElasticEstimator(Estimator):
@@ -215,7 +165,15 @@ class ElasticEstimator(Estimator):
             sigma = np.hypot(sigma, expected.deviation(nodes + mean))
         diagnosis = self._diagnosis(posterior, expected, solver.unexplained(posterior), outliers)
         estimate = ElasticEstimate(
-            model, posterior.observed, posterior.residual, ratio, mean, sigma, diagnosis, watch.stages
+            model,
+            posterior.observed,
+            posterior.residual,
+            ratio,
+            mean,
+            sigma,
+            diagnosis,
+            watch.stages,
+            posterior,
         )
         watch.lap("warp")
         if isinstance(observation, BareCloud) and observation.track is not None:

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import CheckpointError, InvalidInputError
-from softtissue_estimator.estimators.elastic.estimator import ElasticEstimate, ElasticEstimator
+from softtissue_estimator.estimators.elastic.estimate import ElasticEstimate
+from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
 from softtissue_estimator.estimators.elastic.model import ElasticModel
 from softtissue_estimator.estimators.estimator import Estimate, Estimator, Progress, silent
 from softtissue_estimator.estimators.hybrid.checkpoint import load_hybrid_checkpoint

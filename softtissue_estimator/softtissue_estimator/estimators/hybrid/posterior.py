@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from scipy.sparse import csr_array
 
-from softtissue_estimator.estimators.elastic.estimator import ElasticEstimate
+from softtissue_estimator.estimators.elastic.estimate import ElasticEstimate
 from softtissue_estimator.estimators.hybrid.input import ObservedMisfit
 from softtissue_estimator.organ.mesh import FloatArray
 from softtissue_estimator.organ.volume_mesh import VolumeMesh

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.estimators.elastic.estimator import ElasticEstimate, ElasticEstimator
+from softtissue_estimator.estimators.elastic.estimate import ElasticEstimate
+from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
 from softtissue_estimator.estimators.estimator import Progress, silent
 from softtissue_estimator.observation.bare_cloud import BareCloud, make_bare_cloud
 from softtissue_estimator.organ.organ import Organ

@@ -11,7 +11,8 @@ from scipy.sparse import csr_array, eye_array
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.estimators.elastic.estimator import ElasticEstimate, ElasticEstimator
+from softtissue_estimator.estimators.elastic.estimate import ElasticEstimate
+from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
 from softtissue_estimator.estimators.hybrid.input import HybridSpec, hybrid_grid, posterior_cells
 from softtissue_estimator.estimators.hybrid.posterior import observed_misfit
 from softtissue_estimator.estimators.paper.network_input import channels_on_grid
