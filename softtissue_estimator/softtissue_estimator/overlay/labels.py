@@ -17,6 +17,7 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SIZE_AT_480 = 0.45
 _GAP = 6  # pixels between a word and what it names
 _STEPS = 5  # places that are tried along each side
+_LINES_AWAY = (0, 2, 5)  # how far from it, beside the gap
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,11 @@ class Label:
 
 
 def write_labels(
-    image: Image, labels: Sequence[Label], corner: tuple[int, int], covered: NDArray[np.bool_]
+    image: Image,
+    labels: Sequence[Label],
+    corner: tuple[int, int],
+    covered: NDArray[np.bool_],
+    first_row: int = 0,
 ) -> list[Box]:
     """Write words where they cover nothing that is drawn and no other word; a word without a place is left out.
 
@@ -49,6 +54,8 @@ def write_labels(
     labels : sequence of Label
     corner : (int, int)
         Column and row at which `covered` (rows, columns) begins, which says where something is drawn.
+    first_row : int
+        Above it nothing is written.
 
     Returns
     -------
@@ -62,12 +69,19 @@ def write_labels(
         (width, height), below = cv2.getTextSize(text, _FONT, size, 1)
         for left, top in _places(label.extent, width, height + below):
             box = (left, top, left + width, top + height + below)
-            if _free(box, image, corner, covered, taken):
+            if top >= first_row and _free(box, image, corner, covered, taken):
                 colour = tuple(float(255.0 * part) for part in label.colour)
                 _write(image, text, (left, top + height), size, colour)
                 taken.append(box)
                 break
     return taken
+
+
+def banner_rows(image: Image, text: str) -> int:
+    """Return how many rows of an image (rows, columns, 3) `write_banner` takes for an explanation."""
+    _, height, lines = _banner(image, text)
+    step = int(1.7 * height)
+    return min(int(image.shape[0]), 2 * _GAP + int(1.4 * step) + step * len(lines))
 
 
 def write_banner(image: Image, head: str, text: str, colour: tuple[int, int, int]) -> None:
@@ -81,18 +95,22 @@ def write_banner(image: Image, head: str, text: str, colour: tuple[int, int, int
     colour : (int, int, int)
         Of the head, in the image's order.
     """
-    size = _SIZE_AT_480 * max(1.0, image.shape[0] / 480.0) ** 0.8
-    (wide, height), _ = cv2.getTextSize("n" * 20, _FONT, size, 1)
-    letters = max(10, int(20 * (image.shape[1] - 4 * _GAP) / max(wide, 1)))
-    lines = textwrap.wrap(_plain(text), letters)[:4]
-    step = int(1.7 * height)
-    end = min(image.shape[0], 2 * _GAP + int(1.4 * step) + step * len(lines))
+    size, height, lines = _banner(image, text)
+    end = banner_rows(image, text)
     image[:end] = image[:end] // 3
     row = _GAP + int(1.4 * height)
     _write(image, _plain(head), (2 * _GAP, row), 1.25 * size, colour, 2)
     for line in lines:
-        row += step
+        row += int(1.7 * height)
         _write(image, line, (2 * _GAP, row), size, (235.0, 235.0, 235.0))
+
+
+def _banner(image: Image, text: str) -> tuple[float, int, list[str]]:
+    """Size and height (pixels) of the letters, and the lines of a banner."""
+    size = _SIZE_AT_480 * max(1.0, image.shape[0] / 480.0) ** 0.8
+    (wide, height), _ = cv2.getTextSize("n" * 20, _FONT, size, 1)
+    letters = max(10, int(20 * (image.shape[1] - 4 * _GAP) / max(wide, 1)))
+    return size, height, textwrap.wrap(_plain(text), letters)[:4]
 
 
 def write_lines(columns: int, text: str) -> Image:
@@ -126,14 +144,16 @@ def _write(
 
 
 def _places(extent: tuple[int, ...], width: int, height: int) -> list[tuple[int, int]]:
-    """Left and top of words to try: right of, left of, above and below what is named, the middle first."""
+    """Left and top of words to try: right of, left of, above and below what is named, the nearest first."""
     left, right, top, bottom = extent
     shares = sorted(np.linspace(0.0, 1.0, _STEPS), key=lambda share: abs(share - 0.5))
     rows = [round(top + share * (bottom - top) - 0.5 * height) for share in shares]
     columns = [round(left + share * (right - left) - 0.5 * width) for share in shares]
-    sides = product((right + _GAP, left - _GAP - width), rows)
-    ends = ((column, row) for row, column in product((top - _GAP - height, bottom + _GAP), columns))
-    return [*sides, *ends]
+    places: list[tuple[int, int]] = []
+    for gap in (_GAP + lines * height for lines in _LINES_AWAY):
+        places += product((right + gap, left - gap - width), rows)
+        places += ((column, row) for row, column in product((top - gap - height, bottom + gap), columns))
+    return places
 
 
 def _free(

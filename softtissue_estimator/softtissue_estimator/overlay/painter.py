@@ -51,6 +51,7 @@ def paint(
     order: Order = "bgr",
     margin_m: float = 0.0,
     names: bool = True,
+    names_below: int = 0,
 ) -> list[Outlined]:
     """Draw structures on an image.
 
@@ -71,6 +72,8 @@ def paint(
         Width of the margin round tumours whose contour is drawn, m; 0 for none.
     names : bool
         Whether names and depths are written, where there is place.
+    names_below : int
+        Row above which no name is written.
 
     Returns
     -------
@@ -109,7 +112,7 @@ def paint(
             for n, (one, c) in enumerate(zip(shown, colours, strict=True))
             if one.pixels
         ]
-        write_labels(image, labels, (window.left, window.top), drawing.covered)
+        write_labels(image, labels, (window.left, window.top), drawing.covered, names_below)
     return [one for one in shown if one.pixels]
 
 

@@ -6,7 +6,7 @@ import pytest
 from estimator.overlay.ball import balls
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.overlay.camera import make_camera
-from softtissue_estimator.overlay.labels import Label, write_banner, write_labels
+from softtissue_estimator.overlay.labels import Label, banner_rows, write_banner, write_labels
 from softtissue_estimator.overlay.painter import outline, paint
 from softtissue_estimator.overlay.scene import make_structures
 
@@ -141,6 +141,17 @@ def test_names_cover_neither_what_is_drawn_nor_one_another():
         assert not covered[top:bottom, left:right].any()
         for other in boxes[:n]:
             assert left >= other[2] or right <= other[0] or top >= other[3] or bottom <= other[1]
+
+
+def test_no_name_is_written_where_the_banner_is():
+    image, covered = picture(), np.zeros((480, 640), bool)
+    label = Label("vessel", (300, 340, 10, 30), np.ones(3))
+    (box,) = write_labels(image, [label], (0, 0), covered)
+    (lower,) = write_labels(image, [label], (0, 0), covered, first_row=60)
+    assert box[1] < 40 and lower[1] >= 60
+    rows = banner_rows(image, "a reason")
+    write_banner(image, "DEGRADED", "a reason", (0, 190, 255))
+    assert (image[:rows, 600:] != GREY).all() and (image[rows:, 600:] == GREY).all()
 
 
 def test_name_without_a_place_is_left_out():

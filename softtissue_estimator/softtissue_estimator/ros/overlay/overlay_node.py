@@ -14,7 +14,7 @@ from softtissue_msgs.msg import EstimatorStatus, Structures
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.overlay.camera import Camera
-from softtissue_estimator.overlay.labels import write_banner
+from softtissue_estimator.overlay.labels import banner_rows, write_banner
 from softtissue_estimator.overlay.painter import paint
 from softtissue_estimator.overlay.settings import OverlaySettings
 from softtissue_estimator.ros import parameters
@@ -169,6 +169,7 @@ class OverlayNode(BoundedPlainNode):
                     order=picture.order,
                     margin_m=1e-3 * settings.margin_mm,
                     names=settings.names,
+                    names_below=banner_rows(canvas, reason) if head else 0,
                 )
         if head:
             colour = _AMBER if head == "DEGRADED" else _RED
