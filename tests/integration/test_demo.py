@@ -39,8 +39,10 @@ def test_demo_reports_frames_latency_and_error(tmp_path, environment):
     assert len(errors["markers"]) == 6
     assert report["estimators"]["elastic"]["tre_mm"] == errors
     assert (out / "phantom.png").read_bytes().startswith(b"\x89PNG")
-    assert "marker 6" in result.stdout
+    assert (out / "overlay.png").read_bytes().startswith(b"\x89PNG")
+    assert "marker 6" in result.stdout and "markers on the image" in result.stdout
     pairs, tracks, bare = report["runs"]
+    assert pairs["reprojection_px"] == {}  # no camera sees the phantom
     assert (pairs["input"], pairs["tre_mm"]["after"]) == ("pairs", errors["after"])
     assert [row["input"] for row in report["runs"]] == ["pairs", "tracks", "bare"]
     for row in (tracks, bare):
@@ -51,6 +53,9 @@ def test_demo_reports_frames_latency_and_error(tmp_path, environment):
         assert 8.0 < row["tre_mm"]["before"]["mean"] < 16.0
         assert row["tre_mm"]["after"]["mean"] < 0.8 * row["tre_mm"]["before"]["mean"]
         assert row["rms_z"] > 0.0
+        on_image = row["reprojection_px"]
+        assert 20.0 < on_image["before"]["mean"] < 60.0 and len(on_image["markers"]) == 6
+        assert 0.0 < on_image["after"]["mean"] < 0.8 * on_image["before"]["mean"]
     assert processes_of(str(out)) == []
 
 

@@ -210,6 +210,31 @@ def test_image_of_another_size_than_the_cameras_is_passed_on_with_a_sentence(the
     theatre.log.wait_for_text("expected 640 x 480 pixels as camera_info says, got 640 x 240")
 
 
+def test_messages_that_cannot_be_used_get_a_sentence_each_and_end_nothing(theatre):
+    wrong = Structures(names=["tumour"], kinds=["tumour"], colours=[ColorRGBA()])
+    wrong.first_vertex, wrong.first_face, wrong.faces = [0, 3], [0, 1], [0, 1, 3_000_000]
+    theatre.structures.publish(wrong)
+    theatre.log.wait_for_text("structures: expected triangles of 'tumour' between its own vertices")
+    theatre.answers.publish(PointCloud2(width=5, height=1, point_step=12, data=bytes(60)))
+    theatre.log.wait_for_text("cloud: expected fields x y z")
+    pose = PoseWithCovarianceStamped()
+    pose.pose.pose.orientation.w = float("nan")
+    theatre.poses.publish(pose)
+    theatre.log.wait_for_text("expected finite numbers")
+    theatre.cameras.publish(CameraInfo(height=480, width=640))
+    theatre.answer(points=theatre.points[:7])
+    assert not drawn(theatre.see()).any()
+    theatre.log.wait_for_text(f"expected {len(theatre.points)} rows in an answer, got 7")
+    theatre.stamp += 10 * S
+    theatre.answer()
+    assert not drawn(theatre.see()).any()
+    theatre.log.wait_for_text("expected positive focal lengths (a calibrated camera)")
+    theatre.describe()
+    theatre.spin(0.3)
+    theatre.answer()
+    assert drawn(theatre.see()).any()
+
+
 def test_newest_image_is_drawn_and_none_is_queued(theatre):
     """Of a burst of images the last is drawn; each once at most, in order."""
     theatre.answer()

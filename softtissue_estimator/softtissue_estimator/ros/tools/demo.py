@@ -16,7 +16,7 @@ from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, MissingDependencyError, SoftTissueError
 from softtissue_estimator.organ.organ_file import read_organ_file
 from softtissue_estimator.ros.tools.demo_picture import draw, read_recording
-from softtissue_estimator.ros.tools.demo_runs import SCENE, UNREGISTERED, Run
+from softtissue_estimator.ros.tools.demo_runs import DRAWN, SCENE, UNREGISTERED, Run
 from softtissue_estimator.ros.tools.processes import executable, process, relay
 from softtissue_estimator.ros.tools.scoring import failures, table
 from softtissue_estimator.support.resources import (
@@ -186,9 +186,10 @@ def run(options: Options) -> int:
         peak_ns = recording.peak_ns
         runs += [Run("pairs", name, options.bag, snapshot_ns=peak_ns) for name in options.estimators]
     scene = _scene_images(options)
-    for name in (name for name in options.inputs if name in SCENE):
-        # The first of them is drawn on the laparoscope's image.
-        stamps = () if scene is None or any(run.view_ns for run in runs) else tuple(scene.stamps)
+    names = [name for name in options.inputs if name in SCENE]
+    drawn = DRAWN if DRAWN in names else "".join(names[:1])
+    for name in names:
+        stamps = tuple(scene.stamps) if scene is not None and name == drawn else ()
         runs.append(Run(name, default, bundled_scene(), *SCENE[name], view_ns=stamps))
     played = []
     for each in runs:

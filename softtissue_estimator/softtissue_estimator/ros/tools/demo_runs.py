@@ -12,6 +12,8 @@ SCENE = {
     "bare": (TRUE_POSE, "surface_points"),
     UNREGISTERED: ((), "surface_points"),
 }
+DRAWN = "bare"
+"""Whose answer is drawn on the laparoscope's image, where it is played; else that of the first one."""
 
 
 @dataclass(frozen=True)
