@@ -108,7 +108,7 @@ def theatre(tmp_path_factory):
         NodeProcess(domain, tmp_path_factory.mktemp("overlay"), parameters, program) as node,
         Theatre(domain) as theatre,
     ):
-        node.wait_for_text("drawing on images of /image")
+        node.wait_for_text("drawing on images of /image", 100.0)
         theatre.log = node
         out = theatre.node.count_publishers
         theatre.wait(lambda: all(one.get_subscription_count() for one in theatre.publishers), "overlay")
