@@ -18,7 +18,7 @@ COARSER = 4
 WIDEST_SHARE = 0.08
 """Of the image's rows: the half width of the widest band."""
 _REFERENCE_ROWS = 480  # of an image on which lines have their least width
-_CELLS = 120  # along the height of an image, in each of which a disc is drawn where a band is wide
+_CELLS = 240  # along the height of an image, in each of which a disc is drawn where a band is wide
 _LINE_PX = 1.0  # half width of a line there
 
 

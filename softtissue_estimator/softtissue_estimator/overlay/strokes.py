@@ -69,19 +69,6 @@ def find_strength(
             strength[row, column] = max(FAINTEST, found)
 
 
-@compiled("boolean(uint8[:,::1], int64, int64)")
-def on_outline(labels: Bytes, row: int, column: int) -> bool:
-    """Say whether a pixel of a label has a neighbour of another one; beyond the border of the image there is none."""
-    rows, columns = labels.shape
-    label = labels[row, column]
-    return bool(
-        (row > 0 and labels[row - 1, column] != label)
-        or (row < rows - 1 and labels[row + 1, column] != label)
-        or (column > 0 and labels[row, column - 1] != label)
-        or (column < columns - 1 and labels[row, column + 1] != label)
-    )
-
-
 @compiled("void(float32[:,::1], uint8[:,::1], int64, int64, float64, float64, uint8)")
 def draw_disc(
     cover: Floats, owner: Bytes, row: int, column: int, radius: float, strength: float, label: int
@@ -132,7 +119,15 @@ def draw_outlines(
     for row in range(rows):
         for column in range(columns):
             label = labels[row, column]
-            if label == 0 or not on_outline(labels, row, column):
+            if label == 0:
+                continue
+            # Beyond the border of the image there is no other label. Written out: a call would count references.
+            if (
+                (row == 0 or labels[row - 1, column] == label)
+                and (row == rows - 1 or labels[row + 1, column] == label)
+                and (column == 0 or labels[row, column - 1] == label)
+                and (column == columns - 1 or labels[row, column + 1] == label)
+            ):
                 continue
             draw_disc(cover, owner, row, column, line, strength[row, column], label)
             sigma = min(drawn[row, column, 1], widest)
