@@ -14,7 +14,7 @@ from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints
 from integration.harness import AtRate, Scene, nanoseconds, running_node, stamp_message, write_organ
 from integration.soak import measure
 
-FLOOD_S, CALLS_PER_S = 2.0, 400.0
+FLOOD_S, CALLS_PER_S = 3.0, 400.0
 STREAM_HZ = 20.0
 MOST_GAP_S = 1.0
 LEAST_ANSWERED = (

@@ -15,7 +15,7 @@ def test_imports_are_followed_through_packages():
     assert list(found) == sorted(found)
     assert {
         "estimators.hybrid.posterior",
-        "estimators.elastic.estimator",
+        "estimators.elastic.estimate",
         "estimators.elastic.loads",
         "organ.mesh",
     } <= set(found)
