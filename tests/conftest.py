@@ -13,13 +13,10 @@ MOST_WORKERS = 4  # each takes a gigabyte of memory
 
 
 def pytest_xdist_auto_num_workers(config):
-    """With `-n auto`: one process more than cores, for those that talk to nodes often wait.
-
-    A single one for a single file, or to show what tests print.
-    """
+    """With `-n auto`: as many processes as there are cores; one for a single file, or to show what tests print."""
     one_file = len(config.args) == 1 and not Path(config.args[0]).is_dir()
     cores = len(os.sched_getaffinity(0))
-    return 0 if one_file or cores == 1 or config.option.capture == "no" else min(cores + 1, MOST_WORKERS)
+    return 0 if one_file or cores == 1 or config.option.capture == "no" else min(cores, MOST_WORKERS)
 
 
 def pytest_configure(config):
