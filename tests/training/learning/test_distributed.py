@@ -63,25 +63,11 @@ def _gradients_of_two_batches(data: Path, ranks: Ranks) -> dict[str, torch.Tenso
     return found
 
 
-@pytest.fixture(scope="module")
-def out_of_two(records, data_folder, tmp_path_factory):
-    """Folder of what two processes left: simulations of one kind and their gradients, and a run of `train`."""
-    folder = tmp_path_factory.mktemp("two")
-    _data_of_one_kind(records, folder / "sims")
-    _torchrun([__file__, str(folder), *_train(data_folder, folder / "run")])
-    return folder
-
-
-def _train(data: Path, out: Path) -> list[str]:
-    """Arguments of a short run."""
-    arguments = ["train", "--data", str(data), "--config", "tiny", "--steps", "6", "--device", "cpu"]
-    arguments += ["--validate-every", "3", "--precision", "float32", "--threads", "1"]
-    return [*arguments, "--out", str(out)]
-
-
-def test_two_processes_have_the_gradient_of_one(out_of_two):
-    alone = _gradients_of_two_batches(out_of_two / "sims", Ranks())
-    together = load_file(out_of_two / "gradients")
+def test_two_processes_have_the_gradient_of_one(records, tmp_path):
+    data = _data_of_one_kind(records, tmp_path / "sims")
+    _torchrun([__file__, str(data), str(tmp_path / "gradients")])
+    alone = _gradients_of_two_batches(data, Ranks())
+    together = load_file(tmp_path / "gradients")
     assert together.keys() == alone.keys()
     for name, expected in alone.items():
         assert float(expected.norm()) > 1e-5, name
@@ -89,7 +75,7 @@ def test_two_processes_have_the_gradient_of_one(out_of_two):
         assert error < 1e-5, (name, error)
 
 
-def _data_of_one_kind(records, folder: Path) -> None:
+def _data_of_one_kind(records, folder: Path) -> Path:
     """Four load cases of one organ to train on: an epoch has a batch of three samples and one of one."""
     folder.mkdir()
     sample = records[1].simulations[0]
@@ -99,6 +85,7 @@ def _data_of_one_kind(records, folder: Path) -> None:
     )
     for number, record in ((0, records[0]), (1, dataclasses.replace(records[1], simulations=cases))):
         write_record(folder, record_name(number), format_record(record))
+    return folder
 
 
 @pytest.mark.parametrize("loss", ["squared", "distance"])
@@ -124,23 +111,23 @@ def test_gradient_is_that_of_the_mean_over_samples_whatever_their_grids(samples,
         torch.testing.assert_close(got, wanted, rtol=1e-5, atol=1e-7)
 
 
-def test_command_under_torchrun_leaves_the_curve_of_one_process(out_of_two, data_folder, tmp_path):
-    assert main(_train(data_folder, tmp_path)) == 0
+def test_command_under_torchrun_leaves_the_curve_of_one_process(data_folder, tmp_path):
+    arguments = ["train", "--data", str(data_folder), "--config", "tiny", "--steps", "6", "--device", "cpu"]
+    arguments += ["--validate-every", "3", "--precision", "float32", "--threads", "1"]
+    _torchrun(["-m", "softtissue_training", *arguments, "--out", str(tmp_path / "two")])
+    assert main([*arguments, "--out", str(tmp_path / "one")]) == 0
 
-    def column(run, name, file):
-        return [float(row[name]) for row in csv.DictReader((run / file).read_text().splitlines())]
+    def column(out, name, file):
+        return [float(row[name]) for row in csv.DictReader((tmp_path / out / file).read_text().splitlines())]
 
-    two = out_of_two / "run"
-    assert len(column(two, "loss", LOSS)) == 6
-    np.testing.assert_allclose(column(two, "loss", LOSS), column(tmp_path, "loss", LOSS), rtol=1e-4)
-    np.testing.assert_allclose(column(two, "error_mm", LOG), column(tmp_path, "error_mm", LOG), atol=0.01)
+    assert len(column("two", "loss", LOSS)) == 6
+    np.testing.assert_allclose(column("two", "loss", LOSS), column("one", "loss", LOSS), rtol=1e-4)
+    np.testing.assert_allclose(column("two", "error_mm", LOG), column("one", "error_mm", LOG), atol=0.01)
 
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    out = Path(sys.argv[1])
     with joined(CPU) as ranks:
-        gradients = _gradients_of_two_batches(out / "sims", ranks)
+        gradients = _gradients_of_two_batches(Path(sys.argv[1]), ranks)
         if ranks.writes:
-            save_file({name: value.contiguous() for name, value in gradients.items()}, out / "gradients")
-    sys.exit(main(sys.argv[2:]))
+            save_file({name: value.contiguous() for name, value in gradients.items()}, sys.argv[2])
