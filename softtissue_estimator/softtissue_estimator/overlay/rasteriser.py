@@ -9,11 +9,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from softtissue_estimator.overlay.libraries import compiled
+from softtissue_estimator.overlay.libraries import compiled, inlined
 
 Floats = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 Numbers = NDArray[np.int32]
+Singles = tuple[np.float32, ...]
 
 
 @compiled("void(float32[:,::1], int32[:,::1], float32[:,::1])")
@@ -83,6 +84,49 @@ def inverse_of(number: float) -> float:
     return 1.0 / number if number != 0.0 else 0.0
 
 
+@inlined
+def triangle_on(
+    pixels: Floats, faces: Numbers, face: int, rows: int
+) -> tuple[Singles, Singles, tuple[float, ...], Singles, tuple[int, int]]:
+    """Return what is the same for all pixels of a triangle.
+
+    Parameters
+    ----------
+    pixels, faces
+        As of `fill_depth`.
+    face : int
+        Its number.
+    rows : int
+        Of the image.
+
+    Returns
+    -------
+    first : (column, row, nearness)
+        Of its first corner.
+    weights, inverse
+        As of `covered_columns`.
+    slopes : (float, float)
+        By how much the nearness grows from column to column, and from row to row.
+    span : (int, int)
+        The first and the last row in which it may be; the last is before the first where it covers nothing.
+    """
+    a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+    x0, y0, near0 = pixels[a, 0], pixels[a, 1], pixels[a, 2]
+    ux, uy = pixels[b, 0] - x0, pixels[b, 1] - y0
+    vx, vy = pixels[c, 0] - x0, pixels[c, 1] - y0
+    area = ux * vy - uy * vx
+    if not abs(area) > 1e-9:  # also NaN
+        zero = np.float32(0.0)  # in single precision, which everything else is computed in, too
+        return (x0, y0, near0), (zero, zero, zero, zero), (0.0, 0.0, 0.0), (zero, zero), (0, -1)
+    sx, sy, tx, ty = vy / area, -vx / area, -uy / area, ux / area
+    inverse = (inverse_of(sx), inverse_of(tx), inverse_of(-sx - tx))
+    n1, n2 = pixels[b, 2] - pixels[a, 2], pixels[c, 2] - pixels[a, 2]
+    slopes = (sx * n1 + tx * n2, sy * n1 + ty * n2)
+    top = math.ceil(max(0.0, y0 + min(0.0, uy, vy)))
+    bottom = math.floor(min(rows - 1.0, y0 + max(0.0, uy, vy)))
+    return (x0, y0, near0), (sx, sy, tx, ty), inverse, slopes, (top, bottom)
+
+
 @compiled("void(float32[:,::1], int32[:,::1], float32[:,::1])")
 def fill_depth(pixels: Floats, faces: Numbers, nearness: Floats) -> None:
     """Draw triangles into a depth buffer.
@@ -97,23 +141,12 @@ def fill_depth(pixels: Floats, faces: Numbers, nearness: Floats) -> None:
     """
     rows, columns = nearness.shape
     for face in range(faces.shape[0]):
-        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-        x0, y0 = float(pixels[a, 0]), float(pixels[a, 1])
-        ux, uy = pixels[b, 0] - x0, pixels[b, 1] - y0
-        vx, vy = pixels[c, 0] - x0, pixels[c, 1] - y0
-        area = ux * vy - uy * vx
-        if not abs(area) > 1e-9:  # also NaN
-            continue
-        sx, sy, tx, ty = vy / area, -vx / area, -uy / area, ux / area
-        weights = (sx, sy, tx, ty)
-        inverse = (inverse_of(sx), inverse_of(tx), inverse_of(-sx - tx))
-        n1, n2 = pixels[b, 2] - pixels[a, 2], pixels[c, 2] - pixels[a, 2]
-        across = sx * n1 + tx * n2
-        top = math.ceil(max(0.0, y0 + min(0.0, uy, vy)))
-        bottom = math.floor(min(rows - 1.0, y0 + max(0.0, uy, vy)))
+        (x0, y0, near0), weights, inverse, (across, down), (top, bottom) = triangle_on(
+            pixels, faces, face, rows
+        )
         for row in range(top, bottom + 1):
             first, last = covered_columns(x0, row - y0, weights, inverse, columns - 1)
-            start = pixels[a, 2] + (sy * n1 + ty * n2) * (row - y0) - across * x0
+            start = near0 + down * (row - y0) - across * x0
             for column in range(first, last + 1):
                 near = start + across * column
                 if near > nearness[row, column]:
@@ -141,23 +174,14 @@ def fill_triangles(
     """
     rows, columns = nearness.shape
     for face in range(faces.shape[0]):
+        (x0, y0, near0), weights, inverse, (across, down), (top, bottom) = triangle_on(
+            pixels, faces, face, rows
+        )
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-        x0, y0 = float(pixels[a, 0]), float(pixels[a, 1])
-        ux, uy = pixels[b, 0] - x0, pixels[b, 1] - y0
-        vx, vy = pixels[c, 0] - x0, pixels[c, 1] - y0
-        area = ux * vy - uy * vx
-        if not abs(area) > 1e-9:  # also NaN
-            continue
-        sx, sy, tx, ty = vy / area, -vx / area, -uy / area, ux / area
-        weights = (sx, sy, tx, ty)
-        inverse = (inverse_of(sx), inverse_of(tx), inverse_of(-sx - tx))
-        n1, n2 = pixels[b, 2] - pixels[a, 2], pixels[c, 2] - pixels[a, 2]
-        across = sx * n1 + tx * n2
-        top = math.ceil(max(0.0, y0 + min(0.0, uy, vy)))
-        bottom = math.floor(min(rows - 1.0, y0 + max(0.0, uy, vy)))
+        sx, sy, tx, ty = weights
         for row in range(top, bottom + 1):
             first, last = covered_columns(x0, row - y0, weights, inverse, columns - 1)
-            start = pixels[a, 2] + (sy * n1 + ty * n2) * (row - y0) - across * x0
+            start = near0 + down * (row - y0) - across * x0
             for column in range(first, last + 1):
                 near = start + across * column
                 if near > nearness[row, column]:
