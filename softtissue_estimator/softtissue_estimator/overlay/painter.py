@@ -83,12 +83,13 @@ def paint(
     pixels = camera.project(placed.points)
     normals = [_normals(placed.points[structures.part(n)], faces) for n, faces in enumerate(structures.faces)]
     margins = _margins(camera, structures, placed, normals, margin_m)
-    reach = _reach_px(camera, placed.sigma, pixels)
-    window = find_window([pixels, *margins.values()], camera, int(max(reach, default=0.0)) + 4)
+    sigma_px = _sigma_px(camera, placed.sigma, pixels)
+    window = find_window([pixels, *margins.values()], camera, int(_reach_px(camera, sigma_px)) + 4)
     if window is None:
         return []
     surface = _surface(camera, structures, placed.surface)
-    values = np.stack([_shades(placed.points, normals), _sigma_px(camera, placed.sigma, pixels)], axis=1)
+    values = np.stack([_shades(placed.points, normals), sigma_px], axis=1)
+    colours = structures.colours if order == "rgb" else structures.colours[:, ::-1]
     drawing = Drawing(window, camera, len(structures.names))
     for number, faces in enumerate(structures.faces):
         drawing.add(pixels[structures.part(number)], faces, values[structures.part(number)], number + 1)
@@ -97,14 +98,13 @@ def paint(
         drawing.add_contour(
             grown, structures.faces[number], number + 1, _MARGIN_STRENGTH, _DASHES, line_px(camera)
         )
-    drawing.onto(image, structures.colours if order == "rgb" else structures.colours[:, ::-1])
+    drawing.onto(image, colours)
     depths = _depths(camera, structures, placed.points, pixels, surface)
     shown = [
         Outlined(name, depth, int(extents[number + 1, 4]))
         for number, (name, depth) in enumerate(zip(structures.names, depths, strict=True))
     ]
     if names:
-        colours = structures.colours if order == "rgb" else structures.colours[:, ::-1]
         labels = [
             Label(
                 _said(one), tuple(extents[n + 1, :4] + [window.left, window.left, window.top, window.top]), c
@@ -159,10 +159,10 @@ def _sigma_px(camera: Camera, sigma: FloatArray, pixels: FloatArray) -> Floats:
     return wide
 
 
-def _reach_px(camera: Camera, sigma: FloatArray, pixels: FloatArray) -> list[float]:
-    wide = _sigma_px(camera, sigma, pixels)
-    wide = wide[np.isfinite(wide)]
-    return [min(float(wide.max()), WIDEST_SHARE * camera.rows)] if len(wide) else []
+def _reach_px(camera: Camera, sigma_px: Floats) -> float:
+    """How far the widest band reaches from the structures, pixels."""
+    widest = float(sigma_px.max(initial=0.0, where=np.isfinite(sigma_px)))
+    return min(widest, WIDEST_SHARE * camera.rows)
 
 
 def _margins(
