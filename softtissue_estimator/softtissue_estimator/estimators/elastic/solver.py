@@ -110,13 +110,12 @@ class Solver:
 
         `loads`, (p,), are the numbers of those that the posterior has; None for all.
         """
-        prior = replace(self.prior, attachment_moves=attachment_moves)
+        other = self.supposing(attachment_moves)
         variances = Variances(
-            prior.variances(posterior.tangent, posterior.observed.nodes, loads),
+            other.prior.variances(posterior.tangent, posterior.observed.nodes, loads),
             posterior.amplitudes.variances.new_tensor(self._observation.first_field_m**2),
         )
-        found = self._about(posterior, registration, variances, posterior.model_sigma_m, VARIANCE_UPDATES)
-        return replace(found, attachment_moves=attachment_moves)
+        return other._about(posterior, registration, variances, posterior.model_sigma_m, VARIANCE_UPDATES)
 
     def _about(
         self,

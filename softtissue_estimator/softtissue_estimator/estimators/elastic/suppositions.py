@@ -7,6 +7,7 @@ from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.leading_loads import leading_loads
 from softtissue_estimator.estimators.elastic.posterior import Posterior
+from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
 from softtissue_estimator.estimators.elastic.solver import Solver
 
@@ -19,24 +20,18 @@ LEAST_GAIN_ALONE = 6.0
 """The same for a frame alone, whose registration no frame before has shown. Of 14 organs of training seeds none that
 was told right gained more than 0.4, and 10 that are attached elsewhere gained 9 to 53."""
 
+Supposition = tuple[RegistrationError, bool]
+"""What is known of the registration, and whether what holds the organ moves."""
+
 
 def revised(solver: Solver, posterior: Posterior, registration: RegistrationFilter) -> Posterior:
-    """Suppose that the registration has moved since it was learnt or that what holds the organ moves, if likelier.
-
-    Loads that have become relevant meanwhile explain much of both: every supposition begins without them. Some dozens
-    of loads are enough to choose.
-    """
-    few = _leading(solver, posterior)
-    part = posterior.with_loads(few)
+    """Suppose that the registration has moved since it was learnt or that what holds the organ moves, if likelier."""
     known, moves = posterior.registration, posterior.attachment_moves
-    # From the simplest on.
     suppositions = [(known, moves), (known.widened(registration.expected.scaled(DRIFT_SHARE)), moves)]
     if not moves and _held(solver, posterior):
         # The registration may have been thought to move for the same reason.
         suppositions.append((registration.unmoved, True))
-    evidence = [solver.afresh(part, *supposition, few).log_evidence for supposition in suppositions]
-    shown = decided(evidence)
-    return solver.afresh(posterior, *suppositions[shown]) if shown else posterior
+    return _with_likeliest(solver, posterior, suppositions, LEAST_GAIN)
 
 
 def freed(solver: Solver, posterior: Posterior) -> tuple[Solver, Posterior]:
@@ -50,22 +45,42 @@ def freed(solver: Solver, posterior: Posterior) -> tuple[Solver, Posterior]:
     """
     if not _held(solver, posterior):
         return solver, posterior
-    few = _leading(solver, posterior)
-    part = posterior.with_loads(few)
     known = posterior.registration
-    evidence = [solver.afresh(part, known, moves, few).log_evidence for moves in (False, True)]
-    if evidence[1] < evidence[0] + LEAST_GAIN_ALONE:
-        return solver, posterior
-    return solver.supposing(attachment_moves=True), solver.afresh(posterior, known, attachment_moves=True)
+    found = _with_likeliest(solver, posterior, [(known, False), (known, True)], LEAST_GAIN_ALONE)
+    return solver.supposing(found.attachment_moves), found
 
 
-def decided(evidence: list[float]) -> int:
+def decided(evidence: list[float], least_gain: float) -> int:
     """Return the number of the supposition that the log-evidence of each, from the simplest on, shows."""
     best = 0
     for number, value in enumerate(evidence):
-        if value >= evidence[best] + LEAST_GAIN:
+        if value >= evidence[best] + least_gain:
             best = number
     return best
+
+
+def _with_likeliest(
+    solver: Solver, posterior: Posterior, suppositions: list[Supposition], least_gain: float
+) -> Posterior:
+    """Return the posterior with the supposition that the observation shows; they begin with the posterior's own.
+
+    Loads that have become relevant meanwhile explain much of what else may be supposed: each begins without them. Some
+    dozens of loads are enough to choose.
+
+    Parameters
+    ----------
+    solver : Solver
+    posterior : Posterior
+    suppositions : list of Supposition
+        From the simplest on.
+    least_gain : float
+        Of the log-evidence over all that is simpler.
+    """
+    few = _leading(solver, posterior)
+    part = posterior.with_loads(few)
+    evidence = [solver.afresh(part, *supposition, few).log_evidence for supposition in suppositions]
+    shown = decided(evidence, least_gain)
+    return solver.afresh(posterior, *suppositions[shown]) if shown else posterior
 
 
 def _held(solver: Solver, posterior: Posterior) -> bool:

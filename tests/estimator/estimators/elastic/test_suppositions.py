@@ -14,7 +14,13 @@ from softtissue_estimator.estimators.elastic.registration_error import expected_
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
 from softtissue_estimator.estimators.elastic.single_frame import solve
 from softtissue_estimator.estimators.elastic.solver import Solver
-from softtissue_estimator.estimators.elastic.suppositions import DRIFT_SHARE, decided, revised
+from softtissue_estimator.estimators.elastic.suppositions import (
+    DRIFT_SHARE,
+    LEAST_GAIN,
+    LEAST_GAIN_ALONE,
+    decided,
+    revised,
+)
 from softtissue_estimator.inference.device import one_thread
 from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.observation.patch_average import average_patches, fit_patches
@@ -137,4 +143,9 @@ def test_a_stream_finds_out_that_the_organ_is_held_elsewhere(model):
     ],
 )
 def test_a_supposition_needs_more_evidence_than_all_that_is_simpler(evidence, shown):
-    assert decided(evidence) == shown
+    assert decided(evidence, LEAST_GAIN) == shown
+
+
+def test_a_frame_alone_needs_more_than_a_stream():
+    assert [decided([0.0, 4.0], gain) for gain in (LEAST_GAIN, LEAST_GAIN_ALONE)] == [1, 0]
+    assert decided([0.0, LEAST_GAIN_ALONE], LEAST_GAIN_ALONE) == 1
