@@ -7,7 +7,6 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.diagnosis import Diagnosis
 from softtissue_estimator.estimators.elastic.joint_covariance import joint_covariance
 from softtissue_estimator.estimators.elastic.model import ElasticModel
-from softtissue_estimator.estimators.elastic.observed import Observed
 from softtissue_estimator.estimators.elastic.posterior import Posterior
 from softtissue_estimator.estimators.estimator import Estimate
 from softtissue_estimator.organ.mesh import FloatArray
@@ -15,6 +14,20 @@ from softtissue_estimator.organ.mesh import FloatArray
 
 class ElasticEstimate(Estimate):
     """Posterior displacement at the nodes of the coarse mesh.
+
+    Parameters
+    ----------
+    model : ElasticModel
+    posterior : Posterior
+    ratio : float
+        Poisson's, that the posterior supposes.
+    mean : (n, 3) float64 m
+        Displacement of the nodes.
+    sigma : (n,) float64 m
+        Standard deviation of each component of it.
+    diagnosis : Diagnosis
+    stages : dict
+        As in `Estimate`.
 
     Attributes
     ----------
@@ -32,23 +45,18 @@ class ElasticEstimate(Estimate):
     def __init__(
         self,
         model: ElasticModel,
-        patches: Observed,
-        misfit: FloatArray,
-        poisson_ratio: float,
-        nodal_displacement: FloatArray,
-        nodal_sigma: FloatArray,
+        posterior: Posterior,
+        ratio: float,
+        mean: FloatArray,
+        sigma: FloatArray,
         diagnosis: Diagnosis,
         stages: dict[str, float],
-        posterior: Posterior,
     ) -> None:
-        self._posterior = posterior
-        self.patches, self.misfit, self.poisson_ratio = patches, misfit, poisson_ratio
-        self.seen = patches.reference
-        self.diagnosis = diagnosis
-        self._mesh = model.mesh
-        self._nodal_displacement = nodal_displacement
-        self._nodal_variance = nodal_sigma**2
-        self.stages = stages
+        self._posterior, self._mesh = posterior, model.mesh
+        self.patches, self.misfit = posterior.observed, posterior.residual
+        self.seen = self.patches.reference
+        self.poisson_ratio, self.diagnosis, self.stages = ratio, diagnosis, stages
+        self._nodal_displacement, self._nodal_variance = mean, sigma**2
         self.displacement, self.sigma = self.interpolated(model.organ.query_points, model.query)
 
     def displacement_at(self, points: FloatArray) -> tuple[FloatArray, FloatArray | None]:

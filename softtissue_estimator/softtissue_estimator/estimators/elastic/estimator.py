@@ -164,17 +164,7 @@ class ElasticEstimator(Estimator):
             mean = posterior.registration_after.correction.undo(nodes + mean) - nodes
             sigma = np.hypot(sigma, expected.deviation(nodes + mean))
         diagnosis = self._diagnosis(posterior, expected, solver.unexplained(posterior), outliers)
-        estimate = ElasticEstimate(
-            model,
-            posterior.observed,
-            posterior.residual,
-            ratio,
-            mean,
-            sigma,
-            diagnosis,
-            watch.stages,
-            posterior,
-        )
+        estimate = ElasticEstimate(model, posterior, ratio, mean, sigma, diagnosis, watch.stages)
         watch.lap("warp")
         if isinstance(observation, BareCloud) and observation.track is not None:
             self._learn(tracks, observation, observation.track != NO_TRACK, posterior, estimate)
