@@ -8,7 +8,7 @@ iteration converges, in single.
 """
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -149,11 +149,23 @@ class HyperelasticBody:
         self._held = torch.from_numpy(self._layers.store(springs_of_all)).float().to(device)
         self._sheared = torch.zeros_like(self._held).index_add_(0, self._entry, shared)
 
-    def with_more_loads(self, loads: FloatArray) -> "HyperelasticBody":
-        """Return the same body with further unit loads, (n, q)."""
+    def with_more_loads(
+        self, resting: RestingBody, loads: FloatArray
+    ) -> tuple["HyperelasticBody", RestingBody]:
+        """Return the same body with further unit loads (n, q), and it at rest, without another factorisation.
+
+        Parameters
+        ----------
+        resting : RestingBody
+            This body at rest.
+        loads : (n, q)
+            Nodal forces of the further loads, for each component.
+        """
+        further = _by_component(loads, self._loads.device)
         more = copy.copy(self)
-        more._loads = torch.cat([self._loads, _by_component(loads, self._loads.device)], dim=1)
-        return more
+        more._loads = torch.cat([self._loads, further], dim=1)
+        response = torch.cat([resting.response, resting.factor.solve(further)], dim=1)
+        return more, replace(resting, response=response)
 
     def deformation_gradient(self, displacement: Tensor) -> Tensor:
         """F of every tetrahedron, (m, 3, 3), for nodal displacement (n, 3) m."""

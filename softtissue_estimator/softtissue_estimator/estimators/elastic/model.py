@@ -116,8 +116,8 @@ def build_model(
     resting = body.at_rest(config.poisson_ratio)
     moving = attachment_basis(mesh, held, attached_areas)
     if moving.shape[1]:
-        body = body.with_more_loads(_ATTACHMENT_SHARE * resting.usual_displacement * moving)
-        resting = body.at_rest(config.poisson_ratio)
+        further = _ATTACHMENT_SHARE * resting.usual_displacement * moving
+        body, resting = body.with_more_loads(resting, further)
     ratios = ratio_prior(config.poisson_ratio, config.poisson_ratio_sigma)
     query = mesh.interpolation_in(organ.query_points, stored["query_tet"])
     return ElasticModel(

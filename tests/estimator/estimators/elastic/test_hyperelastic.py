@@ -46,6 +46,17 @@ def test_at_rest_the_stiffness_is_the_linear_one(ratio):
     np.testing.assert_allclose(resting.response.numpy(), tangent.response.numpy(), rtol=1e-3)
 
 
+def test_further_loads_change_nothing_of_those_before():
+    whole = HyperelasticBody(MESH, SPRINGS, np.eye(COUNT)[:, -5:], CPU)
+    first = HyperelasticBody(MESH, SPRINGS, np.eye(COUNT)[:, -5:-3], CPU)
+    body, resting = first.with_more_loads(first.at_rest(RATIO), np.eye(COUNT)[:, -3:])
+    expected = whole.at_rest(RATIO).response.numpy()
+    np.testing.assert_allclose(resting.response.numpy(), expected, rtol=1e-6, atol=1e-6 * expected.max())
+    moved = bent(0.001)
+    found, expected = (one.linearise(moved, NONE, RATIO).response.numpy() for one in (body, whole))
+    np.testing.assert_array_equal(found, expected)
+
+
 @pytest.mark.parametrize(("ratio", "size"), [(0.35, 1.0), (0.48, 0.1)])
 def test_newton_steps_find_the_equilibrium_of_an_independent_implementation(ratio, size):
     """Loads on two corners; the offset plus the response to them, again and again, is Newton's method."""
