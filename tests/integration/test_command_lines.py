@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+import sys
 
 import pytest
 
@@ -40,6 +41,40 @@ def test_node_refuses_what_it_does_not_know(environment, arguments, hint):
     assert ended.returncode == 2
     (line,) = (line for line in ended.stderr.splitlines() if "[INFO]" not in line)
     assert "expected" in line and line.endswith(hint)
+
+
+def overlay_without_opencv(environment, *arguments):
+    program = (
+        "import sys\n"
+        "sys.modules['cv2'] = None\n"
+        "from softtissue_estimator.ros.overlay.main import main\n"
+        "main()\n"
+    )
+    command = [sys.executable, "-c", program, *arguments]
+    return subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, timeout=60)
+
+
+def test_overlay_shows_its_help_and_refuses_arguments_before_it_needs_opencv(environment):
+    ended = overlay_without_opencv(environment, "--help")
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "--ros-args" in ended.stdout and "margin_mm" in ended.stdout
+    ended = overlay_without_opencv(environment, "-p", "margin_mm:=5.0")
+    assert ended.returncode == 2
+    assert ended.stderr.splitlines()[-1].endswith("did you mean --ros-args -p margin_mm:=5.0?")
+
+
+def test_overlay_without_opencv_says_what_to_install(environment):
+    ended = overlay_without_opencv(environment)
+    assert ended.returncode == 2
+    (line,) = (line for line in ended.stderr.splitlines() if "[INFO]" not in line)
+    assert line.startswith("error: overlay: expected OpenCV and Numba, got no cv2; pip install")
+
+
+def test_overlay_refuses_a_parameter_that_it_does_not_know(environment):
+    ended = run(environment, "overlay", "--ros-args", "-p", "margin_m:=0.01")
+    assert ended.returncode == 2
+    (line,) = (line for line in ended.stderr.splitlines() if "[INFO]" not in line)
+    assert "expected" in line and line.endswith("did you mean margin_mm?")
 
 
 def test_replay_without_a_node_ends_with_a_sentence(environment):

@@ -20,7 +20,6 @@ from softtissue_estimator.overlay.settings import OverlaySettings
 from softtissue_estimator.ros import parameters
 from softtissue_estimator.ros.boundary import Boundary
 from softtissue_estimator.ros.bounded import BoundedPlainNode
-from softtissue_estimator.ros.command_line import Program
 from softtissue_estimator.ros.inputs.registration import Registration
 from softtissue_estimator.ros.inputs.registration_topics import RegistrationTopics
 from softtissue_estimator.ros.inputs.transforms import tf_source
@@ -34,15 +33,10 @@ from softtissue_estimator.ros.overlay.images import (
     read_compressed_image,
     read_image,
 )
+from softtissue_estimator.ros.overlay.program import PROGRAM
 from softtissue_estimator.support.latest_worker import LatestWorker
 
 NAME = "softtissue_overlay"
-PROGRAM = Program(
-    "overlay",
-    "Draw the structures inside an organ on a camera's images.",
-    "ros2 run softtissue_estimator overlay --ros-args -r image:=/camera/image_raw -r camera_info:=/camera/camera_info",
-    OverlaySettings,
-)
 FIXED = frozenset({"estimator_node", "image_transport"})
 # Of images and answers alike only the newest counts.
 IMAGE_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
