@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from softtissue_estimator.ros.runtime import Spinner, StopRequest, limit_threads, run_tool
-from softtissue_estimator.ros.tools.latency.control import Handler, serve_in_thread
+from softtissue_estimator.ros.runtime import StopRequest, limit_threads, run_tool
+from softtissue_estimator.ros.tools.latency.control import Handler, crash_of, serve_spinning
 
 OVERLAY = "softtissue_overlay"
 FRAME = "latency_camera"
@@ -141,26 +141,16 @@ def messages_of(columns: int, rows: int) -> tuple[bytes, bytes]:
 
 def run(options: argparse.Namespace, stop: StopRequest) -> int:
     """Serve until standard input ends; return the exit code."""
-    import traceback
-
     import rclpy
 
     node = rclpy.create_node("latency_camera")
-
-    def crash(error: BaseException) -> None:
-        traceback.print_exception(error)
-        stop.stop(1)
-
-    camera = Camera(node, options, crash)
-    spinner = Spinner(node, crash)
+    camera = Camera(node, options, crash_of(stop))
     handlers: dict[str, Handler] = {
         "connected": camera.connected,
         "begin": camera.begin,
         "end": camera.end,
     }
-    serve_in_thread(handlers, stop.stop)
-    stop.event.wait()
-    spinner.stop(2.0)
+    serve_spinning(node, handlers, stop)
     node.destroy_node()
     return stop.exit_code
 

@@ -4,22 +4,43 @@ import json
 import subprocess
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from softtissue_estimator.errors import SoftTissueError
+from softtissue_estimator.ros.runtime import Spinner, StopRequest
 
 Handler = Callable[..., dict[str, Any]]
+_PATIENCE_S = 2.0  # for the callback at work when a process ends
 
 
-def serve_in_thread(handlers: Mapping[str, Handler], on_end: Callable[[], None]) -> None:
-    """Answer questions in a thread of its own; calls `on_end` when standard input has ended."""
+def crash_of(stop: StopRequest) -> Callable[[BaseException], None]:
+    """Return what takes an exception after which a process cannot go on: prints it, and asks for exit code 1."""
+
+    def crash(error: BaseException) -> None:
+        traceback.print_exception(error)
+        stop.stop(1)
+
+    return crash
+
+
+def serve_spinning(node: Any, handlers: Mapping[str, Handler], stop: StopRequest) -> None:
+    """Answer questions as `serve_until_stopped` does, while a thread spins a node."""
+    spinner = Spinner(node, crash_of(stop))
+    serve_until_stopped(handlers, stop)
+    spinner.stop(_PATIENCE_S)
+
+
+def serve_until_stopped(handlers: Mapping[str, Handler], stop: StopRequest) -> None:
+    """Answer questions, in a thread of its own, until standard input ends or the process is asked to end."""
 
     def run() -> None:
         serve(handlers)
-        on_end()
+        stop.stop()
 
     threading.Thread(target=run, name="serve", daemon=True).start()
+    stop.event.wait()
 
 
 def serve(handlers: Mapping[str, Handler]) -> None:

@@ -4,8 +4,8 @@ import argparse
 import time
 from typing import Any
 
-from softtissue_estimator.ros.runtime import Spinner, StopRequest, limit_threads, run_tool
-from softtissue_estimator.ros.tools.latency.control import Handler, serve_in_thread
+from softtissue_estimator.ros.runtime import StopRequest, limit_threads, run_tool
+from softtissue_estimator.ros.tools.latency.control import Handler, serve_spinning
 
 # Enough for a pause of this process: what it loses would be charged to the node.
 QUEUE = 100
@@ -129,16 +129,13 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
 
     node = rclpy.create_node("latency_receiver")
     receiver = Receiver(node, options.name)
-    spinner = Spinner(node, lambda error: stop.stop(1))
     handlers: dict[str, Handler] = {
         "publishers": receiver.publishers,
         "begin": receiver.begin,
         "newest": receiver.newest,
         "end": receiver.end,
     }
-    serve_in_thread(handlers, stop.stop)
-    stop.event.wait()
-    spinner.stop(2.0)
+    serve_spinning(node, handlers, stop)
     node.destroy_node()
     return stop.exit_code
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from softtissue_estimator.ros.runtime import StopRequest, limit_threads, run_tool
-from softtissue_estimator.ros.tools.latency.control import Handler, serve_in_thread
+from softtissue_estimator.ros.tools.latency.control import Handler, crash_of, serve_until_stopped
 
 # A cloud that is later than this does not make the ones after it come in a burst.
 PATIENCE_S = 0.5
@@ -107,27 +107,19 @@ class Sender:
 
 def run(options: argparse.Namespace, stop: StopRequest) -> int:
     """Serve until standard input ends; return the exit code."""
-    import traceback
-
     import rclpy
 
     from softtissue_estimator.organ.organ import load_organ
 
     node = rclpy.create_node("latency_sender")
-
-    def crash(error: BaseException) -> None:
-        traceback.print_exception(error)
-        stop.stop(1)
-
-    sender = Sender(node, load_organ(options.organ), crash)
+    sender = Sender(node, load_organ(options.organ), crash_of(stop))
     handlers: dict[str, Handler] = {
         "listeners": sender.listeners,
         "prepare": sender.prepare,
         "begin": sender.begin,
         "end": sender.end,
     }
-    serve_in_thread(handlers, stop.stop)
-    stop.event.wait()
+    serve_until_stopped(handlers, stop)
     sender.end(early=True)
     node.destroy_node()
     return stop.exit_code
