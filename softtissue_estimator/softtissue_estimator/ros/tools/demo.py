@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from softtissue_estimator.errors import InvalidInputError, MissingDependencyErro
 from softtissue_estimator.organ.organ_file import read_organ_file
 from softtissue_estimator.ros.tools.demo_picture import draw, read_recording
 from softtissue_estimator.ros.tools.demo_runs import DRAWN, SCENE, UNREGISTERED, Run
-from softtissue_estimator.ros.tools.processes import executable, process, relay
+from softtissue_estimator.ros.tools.processes import executable, process, relayed_process
 from softtissue_estimator.ros.tools.scoring import failures, table
 from softtissue_estimator.support.resources import (
     bundled_bag,
@@ -130,13 +129,10 @@ def play(run: Run, options: Options) -> dict[str, Any]:
     replay += ["--timeout", str(START_TIMEOUT_S), "--report", str(folder / "replay.json")]
     replay += ["--wait-for", run.clouds, "--ros-args", *played_as]
     with (
-        process(node, stderr=subprocess.PIPE) as node_process,
+        relayed_process(node, folder / "node.log", "node") as node_process,
         process([*score, "--ros-args", *remap], stdout=subprocess.DEVNULL) as score_process,
         process(replay) as replay_process,
     ):
-        threading.Thread(
-            target=relay, args=(node_process.stderr, folder / "node.log"), name="relay", daemon=True
-        ).start()
         _wait(replay_process, "replay", START_TIMEOUT_S + SCORE_TIMEOUT_S, [node_process, score_process])
         _wait(score_process, "score", SCORE_TIMEOUT_S, [node_process])
     if not report.is_file():

@@ -85,7 +85,15 @@ def _end(child: "subprocess.Popen[str]") -> None:
             continue
 
 
-def relay(stream: TextIO, log: Path, name: str = "node") -> None:
+@contextmanager
+def relayed_process(command: list[str], log: Path, name: str) -> Iterator["subprocess.Popen[str]"]:
+    """Run a process as `process` does; what it says on standard error goes where `_relay` writes it."""
+    with process(command, stderr=subprocess.PIPE) as child:
+        threading.Thread(target=_relay, args=(child.stderr, log, name), name="relay", daemon=True).start()
+        yield child
+
+
+def _relay(stream: TextIO, log: Path, name: str) -> None:
     """Write a process's lines to a file, and to the terminal those that say how it goes on."""
     with log.open("w", encoding="utf-8") as file:
         for line in stream:

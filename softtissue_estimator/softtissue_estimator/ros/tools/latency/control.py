@@ -5,11 +5,13 @@ import subprocess
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from softtissue_estimator.errors import SoftTissueError
 from softtissue_estimator.ros.runtime import Spinner, StopRequest
+from softtissue_estimator.ros.tools.processes import process
 
 Handler = Callable[..., dict[str, Any]]
 _PATIENCE_S = 2.0  # for the callback at work when a process ends
@@ -93,3 +95,12 @@ class Remote:
         if "error" in answer:
             raise SoftTissueError(str(answer["error"]))
         return answer
+
+
+@contextmanager
+def open_remote(module: str, namespace: str, *arguments: str) -> Iterator[Remote]:
+    """Run a module of this package that serves questions, as a process whose nodes are in a namespace."""
+    command = [sys.executable, "-m", f"{__package__}.{module}", *arguments]
+    command += ["--ros-args", "-r", f"__ns:={namespace}"]
+    with process(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+        yield Remote(child, module)

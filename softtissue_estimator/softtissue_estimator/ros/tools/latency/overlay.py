@@ -1,8 +1,6 @@
 """The overlay beside the node under test: its process, a camera for it, and how long images are on their way."""
 
 import subprocess
-import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -11,10 +9,10 @@ from typing import Any
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.tools.latency.camera import REGISTRATION
-from softtissue_estimator.ros.tools.latency.control import Remote
+from softtissue_estimator.ros.tools.latency.control import Remote, open_remote
 from softtissue_estimator.ros.tools.latency.statistics import latencies_ms, quantiles
 from softtissue_estimator.ros.tools.latency.usage import cpu_share, usage_of
-from softtissue_estimator.ros.tools.processes import executable, process, relay
+from softtissue_estimator.ros.tools.processes import executable, relayed_process
 
 
 @dataclass(frozen=True)
@@ -97,14 +95,9 @@ def open_overlay(
     with ExitStack() as stack:
         command = [str(executable("overlay")), "--ros-args", "-r", f"__ns:={namespace}"]
         command += ["-r", f"registration:={REGISTRATION}", "-p", "maximum_age_s:=1.0"]
-        child = stack.enter_context(process(command, stderr=subprocess.PIPE))
-        log = folder / "overlay.log"
-        threading.Thread(target=relay, args=(child.stderr, log, "overlay"), name="relay", daemon=True).start()
-        command = [sys.executable, "-m", f"{__package__}.camera", str(organ)]
-        command += [str(images.columns), str(images.rows), f"{images.rate_hz:g}", "--ros-args"]
-        command += ["-r", f"__ns:={namespace}"]
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-        camera = Remote(stack.enter_context(process(command, **pipes)), "camera")
+        child = stack.enter_context(relayed_process(command, folder / "overlay.log", "overlay"))
+        seen = (str(organ), str(images.columns), str(images.rows), f"{images.rate_hz:g}")
+        camera = stack.enter_context(open_remote("camera", namespace, *seen))
         overlay = Overlay(child, camera, images)
         wait(overlay.connected, "images to pass through the overlay")
         yield overlay

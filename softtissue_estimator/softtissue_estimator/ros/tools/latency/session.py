@@ -2,8 +2,6 @@
 
 import math
 import subprocess
-import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -14,12 +12,12 @@ from typing import Any
 from softtissue_estimator.errors import SoftTissueError
 from softtissue_estimator.organ.organ import Organ, load_organ
 from softtissue_estimator.ros.runtime import StopEvent
-from softtissue_estimator.ros.tools.latency.control import Remote
+from softtissue_estimator.ros.tools.latency.control import Remote, open_remote
 from softtissue_estimator.ros.tools.latency.overlay import Images, Overlay, open_overlay
 from softtissue_estimator.ros.tools.latency.probe import Probe
 from softtissue_estimator.ros.tools.latency.statistics import Run, summarise
 from softtissue_estimator.ros.tools.latency.usage import cpu_share, gpu_memory_mb, usage_of
-from softtissue_estimator.ros.tools.processes import executable, process, relay
+from softtissue_estimator.ros.tools.processes import executable, relayed_process
 from softtissue_estimator.support.cache import cache_folder
 
 NAMESPACE = "/latency"
@@ -96,9 +94,7 @@ class Session:
             self._receiver.ask("begin")
             self._sender.ask("begin", count=round(START_TIMEOUT_S * START_RATE_HZ))
             began_ns = time.time_ns()
-            with process(command, stderr=subprocess.PIPE) as child:
-                log = self._folder / "node.log"
-                threading.Thread(target=relay, args=(child.stderr, log), name="relay", daemon=True).start()
+            with relayed_process(command, self._folder / "node.log", "node") as child:
                 self._wait(child, self._answered, "a first answer")
                 self._sender.ask("end", early=True)
                 heard = self._receiver.ask("end")
@@ -243,13 +239,9 @@ def open_session(ros_node: Any, path: Path, scene: Scene, log: Path, stop: StopE
     """Start sender and receiver for the organ in a folder; the node's log goes to another, `log`."""
     organ = load_organ(path)
     with ExitStack() as stack:
-        remotes = []
-        for module, argument in (("sender", str(path)), ("receiver", NAME)):
-            command = [sys.executable, "-m", f"{__package__}.{module}", argument]
-            command += ["--ros-args", "-r", f"__ns:={NAMESPACE}"]
-            pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-            remotes.append(Remote(stack.enter_context(process(command, **pipes)), module))
-        yield Session(ros_node, remotes[0], remotes[1], organ, scene, log, stop, path)
+        sender = stack.enter_context(open_remote("sender", NAMESPACE, str(path)))
+        receiver = stack.enter_context(open_remote("receiver", NAMESPACE, NAME))
+        yield Session(ros_node, sender, receiver, organ, scene, log, stop, path)
 
 
 def _cached() -> frozenset[str]:
