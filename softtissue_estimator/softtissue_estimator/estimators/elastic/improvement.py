@@ -17,11 +17,17 @@ CATCHING_UP_STEPS = 4
 STEPS_PER_HIDDEN_VARIANCE = 3
 """Which changes slowly and takes as long as a fifth of a step."""
 STEPS_PER_TRIAL = 2
-"""One of so many asks what else may be wrong, which takes as long as a tenth of a step."""
+"""One of so many asks what else may be wrong, which takes as long as a quarter of a step."""
 STEPS_PER_RATIO_TRIAL = 4
 """One of so many looks at another Poisson's ratio, too."""
 LEAST_LOG_EVIDENCE_GAIN = 1.0
 """From which on another ratio is taken: a smaller one may be noise."""
+STEP_S = 0.3
+"""What a step with nothing beside it is given: half as much again as it takes on two idle cores."""
+EXTRA_S = 0.1
+"""What the variance of what is hidden is given, and what else may be wrong."""
+FIRST_STEPS = 4
+"""Of these in the first step about a rigid motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +70,23 @@ class Task:
             raise CancelledError
 
     @property
+    def given_s(self) -> float:
+        """After how much time the step is taken over, however long it took."""
+        if self.rigid:
+            return FIRST_STEPS * STEP_S
+        return (1 + abs(self.ratio_step)) * STEP_S + (self.sees_hidden + self.doubts) * EXTRA_S
+
+    @property
+    def sees_hidden(self) -> bool:
+        """Whether it finds the variance of what is hidden."""
+        return self.number % STEPS_PER_HIDDEN_VARIANCE == 0
+
+    @property
+    def doubts(self) -> bool:
+        """Whether it asks what else may be wrong."""
+        return self.number > CATCHING_UP_STEPS and self.number % STEPS_PER_TRIAL == 1
+
+    @property
     def ratio_step(self) -> int:
         """Towards which other Poisson's ratio it looks, 1 or -1; most look at none, 0."""
         trial, remainder = divmod(self.number, STEPS_PER_RATIO_TRIAL)
@@ -91,9 +114,7 @@ def improve(task: Task) -> tuple[Posterior, WarmStart]:
     """
     with one_thread():
         better = _start(task) if task.rigid else _step(task)
-        hidden = task.posterior.hidden_variance
-        if task.number % STEPS_PER_HIDDEN_VARIANCE == 0:
-            hidden = None
+        hidden = None if task.sees_hidden else task.posterior.hidden_variance
         return better, task.solver.warm_start(better, hidden)
 
 
@@ -111,8 +132,7 @@ def _explained(task: Task, scale: float) -> Posterior:
 def _step(task: Task) -> Posterior:
     task.go_on()
     better = _improved(task, task.ratio)
-    # Not in one step with the variance of what is hidden.
-    if task.number > CATCHING_UP_STEPS and task.number % STEPS_PER_TRIAL == 1:
+    if task.doubts:
         better = revised(task.solver, better, task.registration)
     if task.ratio_step and better.ratio + task.ratio_step in task.solver.ratios:
         other = _improved(task, better.ratio + task.ratio_step)

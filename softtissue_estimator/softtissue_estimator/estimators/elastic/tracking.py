@@ -1,7 +1,8 @@
 """Answer a stream of observations: each about the state of the one before, which a thread improves meanwhile.
 
-What the thread makes of an observation is taken over by the first one that is made `STEP_S` later, by the stamps of
-both, and waited for where it is not ready: with enough patience the same stream has the same answers on every machine.
+What the thread makes of an observation is taken over by the first one that is made `Task.given_s` later, by the stamps
+of both, and waited for where it is not ready: with enough patience the same stream has the same answers on every
+machine.
 """
 
 import copy
@@ -31,11 +32,7 @@ from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.estimators.elastic.solver import Solver
 
 _log = logging.getLogger(__name__)
-STEP_S = 0.3
-"""Between an observation and the one that takes over the step that the thread made about it: half as much again as that
-takes on two idle cores."""
 _LEAST_FRAMES = 3  # that are answered with a step at least: on a busy machine frames wait for it
-_FIRST_STEPS = 4  # of these in the first step about a rigid motion
 UNSTAMPED_S = 0.1  # between two observations that do not say when they were made
 _JITTER_S = 0.01  # of stamps
 _LEAST_VARIANCE_SHARE = 1e-3  # of the largest: with less no load starts a step of the thread
@@ -278,11 +275,10 @@ class ElasticTracker:
 
 def _is_due(task: Task, stamp_s: float, frames: int) -> bool:
     """Tell whether an observation, so many frames after another one, takes over what the thread makes of that."""
-    steps = _FIRST_STEPS if task.rigid else 1 + abs(task.ratio_step)
     passed_s = stamp_s - task.stamp_s
     # Where few frames are answered, each step serves some of them; stamps may stand still or go back.
     enough = frames >= _LEAST_FRAMES
-    return enough and not 0.0 < passed_s < steps * STEP_S - _JITTER_S
+    return enough and not 0.0 < passed_s < task.given_s - _JITTER_S
 
 
 def _step_back() -> None:
