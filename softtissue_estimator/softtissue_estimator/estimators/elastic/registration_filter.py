@@ -36,8 +36,9 @@ class RegistrationFilter:
 
     def __init__(self, expected: RegistrationError) -> None:
         self.expected = expected
-        # Most are exact; the first frame that is explained with all loads tells whether this one is.
-        self.supposed = expected.scaled(expected.scales[0])
+        # Most are exact; the first frame tells whether this one is.
+        self._size = expected.scales[0]
+        self.supposed = expected.scaled(self._size)
         self._observed = False
         self._before: RegistrationError | None = None
 
@@ -56,7 +57,12 @@ class RegistrationFilter:
         """Sizes of the error over what is supposed that the next frame has to choose from: one after the first."""
         if self._observed:
             return (1.0,)
-        return tuple(scale / self.supposed.scales[0] for scale in self.supposed.scales)
+        return tuple(scale / self._size for scale in self.supposed.scales)
+
+    def suppose(self, scale: float) -> None:
+        """Go on with one of `scales`, until a frame that is explained with all loads tells more."""
+        self._size *= scale
+        self.supposed = self.supposed.scaled(scale)
 
     def follow(self, posterior: Posterior) -> None:
         """Go with an organ that is attached nowhere, as any frame shows it."""

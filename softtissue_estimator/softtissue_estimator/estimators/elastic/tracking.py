@@ -1,8 +1,7 @@
 """Answer a stream of observations: each about the state of the one before, which a thread improves meanwhile.
 
-What the thread makes of an observation is taken over by the first one that is made `Task.given_s` later, by the stamps
-of both, and waited for where it is not ready: with enough patience the same stream has the same answers on every
-machine.
+What the thread makes of an observation is taken over by the first one made `Task.given_s` later, by the stamps of both,
+and waited for where it is not ready: with enough patience the same stream has the same answers on every machine.
 """
 
 import copy
@@ -28,6 +27,7 @@ from softtissue_estimator.estimators.elastic.memory import (
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
+from softtissue_estimator.estimators.elastic.registration_scale import likeliest
 from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.estimators.elastic.solver import Solver
 
@@ -181,7 +181,7 @@ class ElasticTracker:
 
     def _anew(self, solver: Solver, known: Known) -> tuple[Posterior, Known, str]:
         """Start anew; also return what is known then, and why the answer is not believed, if it is not."""
-        posterior, state = self._start(solver)
+        posterior, state = self._start(solver, known)
         reason = reason_for_disbelief(solver, posterior, known.lost or known.as_lost())
         lost, registration = known.lost, known.registration
         if lost is None and known.memory.state is not None and (reason or not known.memory.rigid):
@@ -228,9 +228,16 @@ class ElasticTracker:
             )
             self._pending, self._frames = (task, self._executor.submit(improve, task)), 0
 
-    def _start(self, solver: Solver) -> tuple[Posterior, WarmStart]:
+    def _start(self, solver: Solver, known: Known) -> tuple[Posterior, WarmStart]:
         """Explain an observation about its rigid motion; what comes next follows this answer, which takes long."""
-        posterior = solver.start(solver.registration, _START_VARIANCE_UPDATES)
+        registration, scales = known.registration, [1.0]
+        if registration is not None and known.memory.state is None and solver.identified:
+            # Until the thread has made its first step one that is far off would pass for exact.
+            scales = [*registration.scales]
+        found = [solver.start(solver.registration.scaled(scale), _START_VARIANCE_UPDATES) for scale in scales]
+        posterior = likeliest(solver, found)
+        if registration is not None:
+            registration.suppose(scales[found.index(posterior)])
         state = solver.warm_start(posterior)
         return replace(posterior, hidden_variance=state.hidden_variance), state
 
