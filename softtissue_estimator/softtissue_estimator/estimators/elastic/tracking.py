@@ -231,7 +231,7 @@ class ElasticTracker:
     def _start(self, solver: Solver, known: Known) -> tuple[Posterior, WarmStart]:
         """Explain an observation about its rigid motion; what comes next follows this answer, which takes long."""
         registration, scales = known.registration, [1.0]
-        if registration is not None and known.memory.state is None and solver.identified:
+        if registration is not None and known.memory.state is None:
             # Until the thread has made its first step one that is far off would pass for exact.
             scales = [*registration.scales]
         found = [solver.start(solver.registration.scaled(scale), _START_VARIANCE_UPDATES) for scale in scales]
