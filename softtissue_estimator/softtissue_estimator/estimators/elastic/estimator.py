@@ -16,13 +16,9 @@ from softtissue_estimator.estimators.elastic.model import ElasticModel, build_mo
 from softtissue_estimator.estimators.elastic.observed import Matchable
 from softtissue_estimator.estimators.elastic.observed_pairs import ObservedPairs
 from softtissue_estimator.estimators.elastic.observed_surface import ObservedSurface, SurfaceObservation
+from softtissue_estimator.estimators.elastic.own_motion import OwnMotion, own_motion
 from softtissue_estimator.estimators.elastic.posterior import Posterior
-from softtissue_estimator.estimators.elastic.registration_error import (
-    OwnMotion,
-    RegistrationError,
-    own_motion,
-    told_error,
-)
+from softtissue_estimator.estimators.elastic.registration_error import RegistrationError, told_error
 from softtissue_estimator.estimators.elastic.single_frame import solve
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.estimators.elastic.tracking import ElasticTracker

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from scipy.sparse import csr_array
 
+from softtissue_estimator.estimators.elastic.own_motion import OwnMotion
 from softtissue_estimator.estimators.elastic.posterior import Posterior
-from softtissue_estimator.estimators.elastic.registration_error import OwnMotion
 from softtissue_estimator.organ.mesh import FloatArray
 
 

@@ -23,8 +23,6 @@ from softtissue_estimator.organ.mesh import FloatArray
 REGISTRATION_SCALES = (0.01, 0.1, 1.0)
 """Sizes that the error may have, over the largest that is expected; nobody says how exact a registration was. Which of
 them made the observation, its evidence tells."""
-OWN_MOTION_SIGMA_M, OWN_MOTION_SIGMA_RAD = 0.03, 0.35
-"""Standard deviations of where an organ is that is attached nowhere: so wide that what is seen decides."""
 _LEAST_VARIANCES = (1e-10,) * 3 + (
     1e-10,
 ) * 3  # m^2 and rad^2: a covariance that somebody says may be singular
@@ -99,27 +97,6 @@ class RegistrationError:
         mean = self.mean + self.root @ scaled
         root = np.asarray(np.linalg.cholesky(self.root @ covariance @ self.root.T), dtype=np.float64)
         return replace(self, mean=mean, root=root).moved_by(mean)
-
-
-@dataclass(frozen=True, eq=False)
-class OwnMotion(RegistrationError):
-    """Where an organ is that is attached nowhere.
-
-    Its own rigid motion and the registration's error move everything that is seen in the same way, so that they are
-    one nuisance parameter, in whose frame the organ bends. The motion is part of the answer, unlike the error.
-    """
-
-    def about(self, correction: RigidMotion) -> OwnMotion:
-        """Return the same distribution about a motion that has been found."""
-        return replace(self, correction=correction, mean=np.zeros(6))
-
-
-def own_motion(centre: FloatArray, motion: RigidMotion) -> OwnMotion:
-    """Return what is supposed of an organ that is attached nowhere: it is anywhere near `motion` from where it was."""
-    turned = motion.rotation.T
-    correction = RigidMotion(turned, -turned @ motion.translation)
-    root = np.diag([OWN_MOTION_SIGMA_M] * 3 + [OWN_MOTION_SIGMA_RAD] * 3)
-    return OwnMotion(centre, correction, np.zeros(6), root, scales=(1.0,))
 
 
 def told_error(centre: FloatArray, covariance: FloatArray) -> RegistrationError:

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from softtissue_estimator.estimators.elastic.own_motion import OwnMotion
 from softtissue_estimator.estimators.elastic.posterior import Posterior
-from softtissue_estimator.estimators.elastic.registration_error import OwnMotion, RegistrationError
+from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.organ.mesh import FloatArray
 
 _NEW_SHARE = 0.05  # of what a frame tells that follows another one within a tenth of a second

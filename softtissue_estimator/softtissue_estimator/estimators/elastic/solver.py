@@ -19,6 +19,7 @@ from softtissue_estimator.estimators.elastic.misfit import Misfit
 from softtissue_estimator.estimators.elastic.model import ElasticModel
 from softtissue_estimator.estimators.elastic.nodal_sigma import hidden_variance, nodal_sigma
 from softtissue_estimator.estimators.elastic.observed import Matchable, Observed
+from softtissue_estimator.estimators.elastic.own_motion import OwnMotion, beside_own_motion
 from softtissue_estimator.estimators.elastic.plausibility import plausible_fit
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart, warm_start
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
@@ -189,6 +190,7 @@ class Solver:
     def start(self, registration: RegistrationError, updates: int = VARIANCE_UPDATES) -> Posterior:
         """Explain the observation with the organ linear about its rigid motion: the first step of all."""
         tangent = self._model.resting.linearise_moved(self._rotation, self._moved, self._rest)
+        tangent = beside_own_motion(tangent, self._model.nodes, registration)
         ratio = self._model.ratios.expected
         sigmas = self._observation.first_sigmas_m
         first = _FIRST_REACH_DEVIATIONS * (sigmas[0] if sigmas else math.inf)
@@ -234,7 +236,8 @@ class Solver:
         registration : RegistrationError or None
             What to suppose of it; what `posterior` supposed, about the correction that it found, by default.
         """
-        if registration is None:
+        if registration is None or isinstance(registration, OwnMotion):
+            # Where an organ that is attached nowhere is, the observation itself says.
             registration = posterior.registration.moved_by(posterior.registration_step)
         ratio = posterior.ratio if ratio is None else ratio
         observed, residual = self._observation.anew(posterior, REACH_M)
@@ -242,6 +245,7 @@ class Solver:
         body = self._model.body
         state = body.guarded(posterior.tangent.state, posterior.mean) if guarded else posterior.mean
         tangent = body.linearise(state, self._rest, self._model.ratios.ratios[ratio])
+        tangent = beside_own_motion(tangent, self._model.nodes, registration)
         if variances is None:
             begin = posterior.amplitudes.prior
         else:
