@@ -13,7 +13,10 @@ from softtissue_estimator.estimators.elastic.suppositions import revised
 from softtissue_estimator.inference.device import one_thread
 
 CATCHING_UP_STEPS = 4
-"""After a start, which tell nothing of the registration's constancy: the organ is not yet linear where it is."""
+"""After a start, which tell nothing of the registration's constancy: the organ is not yet linear where it is, and an
+attachment that moves looks like a drift for want of motion."""
+LEAST_STEPS_OF_DOUBT = 2
+"""After a start, before anything is thought to be wrong."""
 STEPS_PER_HIDDEN_VARIANCE = 3
 """Which changes slowly and takes as long as a fifth of a step."""
 STEPS_PER_TRIAL = 2
@@ -84,7 +87,7 @@ class Task:
     @property
     def doubts(self) -> bool:
         """Whether it asks what else may be wrong."""
-        return self.number > CATCHING_UP_STEPS and self.number % STEPS_PER_TRIAL == 1
+        return self.number > LEAST_STEPS_OF_DOUBT and self.number % STEPS_PER_TRIAL == 1
 
     @property
     def ratio_step(self) -> int:
@@ -133,7 +136,8 @@ def _step(task: Task) -> Posterior:
     task.go_on()
     better = _improved(task, task.ratio)
     if task.doubts:
-        better = revised(task.solver, better, task.registration)
+        constant = task.number <= CATCHING_UP_STEPS
+        better = revised(task.solver, better, task.registration, constant=constant)
     if task.ratio_step and better.ratio + task.ratio_step in task.solver.ratios:
         other = _improved(task, better.ratio + task.ratio_step)
         if other.log_evidence > better.log_evidence + LEAST_LOG_EVIDENCE_GAIN:

@@ -42,10 +42,20 @@ class Supposition:
     least_gain: float = 0.0
 
 
-def revised(solver: Solver, posterior: Posterior, registration: RegistrationFilter) -> Posterior:
+def revised(
+    solver: Solver, posterior: Posterior, registration: RegistrationFilter, *, constant: bool = False
+) -> Posterior:
     """Suppose that the registration has moved since it was learnt or that what holds the organ moves, if likelier.
 
     Or that what holds it does not move after all.
+
+    Parameters
+    ----------
+    solver : Solver
+    posterior : Posterior
+    registration : RegistrationFilter
+    constant : bool
+        Whether it is too early to say that the registration has moved: what looks like that is left as it is.
     """
     known, moves = posterior.registration, posterior.attachment_moves
     wider = known.widened(registration.expected.scaled(DRIFT_SHARE))
@@ -55,7 +65,8 @@ def revised(solver: Solver, posterior: Posterior, registration: RegistrationFilt
     elif _held(solver, posterior):
         # The registration may have been thought to move for the same reason.
         suppositions.append(Supposition(registration.unmoved, True, LEAST_GAIN_OF_MOVING))
-    return _with_likeliest(solver, posterior, suppositions)
+    found = _with_likeliest(solver, posterior, suppositions)
+    return posterior if constant and found.registration is wider else found
 
 
 def freed(solver: Solver, posterior: Posterior) -> tuple[Solver, Posterior]:
