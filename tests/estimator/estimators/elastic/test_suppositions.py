@@ -92,6 +92,10 @@ def test_a_stream_remembers_that_its_registration_moved(model):
     wider = known.supposed.widened(EXPECTED.scaled(DRIFT_SHARE))
     known.observe(solver.afresh(again, wider, attachment_moves=False))
     assert known.moved
+    # From now on it may move as fast as one that was seen to.
+    variances = np.diag(known.supposed.root @ known.supposed.root.T)
+    assert variances[:3].min() > 0.0004**2 and variances[3:].min() > 0.001**2
+    assert np.diag(supposed.root @ supposed.root.T)[:3].min() < 0.0004**2
     # What moved was the attachment, as it turns out.
     known.observe(solver.afresh(again, known.unmoved, attachment_moves=True))
     assert not known.moved and known.unmoved is known.supposed
