@@ -7,6 +7,7 @@ import numpy as np
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.observation.given_normals import unit_normals
 from softtissue_estimator.organ.mesh import FloatArray, IntArray
 
 NO_TRACK = -1
@@ -30,6 +31,9 @@ class BareCloud:
         As of `Observation`.
     track : (n,) int64, optional
         Number of the track of each point, the same from cloud to cloud while it is followed; `NO_TRACK` for none.
+    normals : (n, 3) float64, optional
+        Of the surface at each point, of unit length; the sign says nothing. NaN for a point without one; None where
+        the cloud has none at all.
     """
 
     points: FloatArray
@@ -38,10 +42,15 @@ class BareCloud:
     stamp_s: float | None = None
     registration_covariance: FloatArray | None = None
     track: IntArray | None = None
+    normals: FloatArray | None = None
 
 
 def make_bare_cloud(
-    points: Any, sigma: Any, config: EstimatorConfig, track: IntArray | None = None
+    points: Any,
+    sigma: Any,
+    config: EstimatorConfig,
+    track: IntArray | None = None,
+    normals: Any = None,
 ) -> tuple[BareCloud, int]:
     """Check a cloud and drop the points that are not finite, or whose sigma is not positive. Arguments are copied.
 
@@ -54,6 +63,8 @@ def make_bare_cloud(
     config : EstimatorConfig
     track : (n,) int64, optional
         As of `BareCloud`.
+    normals : (n, 3) array, optional
+        Of any length, organ frame. A point whose normal is not finite or of no length is kept, without a normal.
 
     Returns
     -------
@@ -79,6 +90,11 @@ def make_bare_cloud(
         raise InvalidInputError(
             f"tracks: expected one number for each of {len(array)} points, got shape {track.shape}"
         )
+    vectors = None if normals is None else np.asarray(normals, dtype=np.float64)
+    if vectors is not None and vectors.shape != array.shape:
+        raise InvalidInputError(
+            f"normals: expected shape {array.shape} as of the points, got {vectors.shape}"
+        )
     with np.errstate(invalid="ignore", over="ignore"):
         usable = np.isfinite(array @ np.ones(3)) & (spread > 0.0) & (spread < np.inf)
     count = int(usable.sum())
@@ -87,5 +103,10 @@ def make_bare_cloud(
             f"surface points: expected at least {config.minimum_points} usable ones, got {count} of {len(array)} "
             "(others are not finite or without a positive standard deviation)"
         )
-    kept = None if track is None else track[usable]
-    return BareCloud(array[usable], spread[usable], track=kept), len(array) - count
+    cloud = BareCloud(
+        array[usable],
+        spread[usable],
+        track=None if track is None else track[usable],
+        normals=None if vectors is None else unit_normals(vectors[usable]),
+    )
+    return cloud, len(array) - count
