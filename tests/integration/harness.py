@@ -308,6 +308,14 @@ class Scene:
         moved[:, 2] = -0.012 * ((points[:, 0] + 0.06) / 0.12) ** 2
         return moved
 
+    @property
+    def normals(self):
+        """Outward normals (n, 3) of the bent surface at its points."""
+        x, y, z = (self.reference / self.organ.surface.vertices.max(axis=0) ** 2).T
+        slope = -0.024 * (self.reference[:, 0] + 0.06) / 0.12**2  # of the bend
+        normals = np.stack([x - slope * z, y, z], axis=1)
+        return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
     def cloud(self, stamp: int, frame: str = "organ", points=None) -> PointCloud2:
         """Cloud with its correspondences in fields of its own."""
         points = self.points if points is None else points
@@ -319,6 +327,16 @@ class Scene:
         """Cloud as a camera sends it: x y z and four bytes of padding a point."""
         points = self.points if points is None else points
         return cloud_message(points, ["x", "y", "z"], stamp, frame, point_step=16)
+
+    def cloud_with_normals(self, stamp: int, frame: str = "organ", points=None, normals=None) -> PointCloud2:
+        """Bare cloud with normals and their curvature, packed as PCL does it."""
+        points = self.points if points is None else points
+        normals = self.normals if normals is None else normals
+        gap = np.zeros((len(points), 1))
+        names = ["x", "y", "z", "padding", "normal_x", "normal_y", "normal_z", "more_padding", "curvature"]
+        cloud = cloud_message(np.hstack([points, gap, normals, gap, gap]), names, stamp, frame, point_step=48)
+        cloud.fields = [field for field in cloud.fields if "padding" not in field.name]
+        return cloud
 
     def pairs(self, stamp: int, **changes) -> Correspondences:
         message = Correspondences()

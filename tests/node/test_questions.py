@@ -197,6 +197,44 @@ def test_numbers_of_tracks_stay_with_their_points(stream, scene):
     assert stream.asked.track is None
 
 
+def camera_normals(scene):
+    """Normals of the scene's points as the camera sees them, a column each."""
+    return dict(
+        zip(("normal_x", "normal_y", "normal_z"), CAMERA_FROM_ORGAN[:3, :3] @ scene.normals.T, strict=True)
+    )
+
+
+def test_normals_are_turned_with_their_points_not_shifted_and_of_unit_length(stream, scene):
+    stream.show(**{name: 7.0 * column for name, column in camera_normals(scene).items()})
+    np.testing.assert_allclose(stream.asked.normals, scene.normals, atol=1e-6)
+    np.testing.assert_allclose(stream.asked.points, scene.points, atol=1e-6)
+    stream.show()
+    assert stream.asked.normals is None
+
+
+def test_normals_stay_with_their_points_and_points_without_one_are_kept(stream, scene):
+    rows = np.arange(len(scene.points))
+    of_organ, none, short = rows % 4 > 0, rows % 7 == 0, rows % 11 == 0
+    columns = camera_normals(scene)
+    columns["normal_y"] = np.where(none, np.nan, columns["normal_y"])
+    columns = {name: np.where(short, 1e-12, column) for name, column in columns.items()}
+    answer = stream.show(organ_mask=of_organ, **columns)
+    expected = np.where((none | short)[:, None], np.nan, scene.normals)[of_organ]
+    np.testing.assert_allclose(stream.asked.normals, expected, atol=1e-6)
+    np.testing.assert_allclose(stream.asked.points, scene.points[of_organ], atol=1e-6)
+    assert answer.used == of_organ.sum()
+
+
+@pytest.mark.parametrize("kind", [Kind.BARE, Kind.TRACKS])
+def test_half_of_a_normal_is_refused_in_a_sentence(stream, scene, kind):
+    columns = camera_normals(scene)
+    del columns["normal_y"]
+    with pytest.raises(
+        InvalidInputError, match=r"^cloud: expected fields normal_x normal_y normal_z, got x y z normal_x n"
+    ):
+        stream.show(kind=kind, **columns)
+
+
 def test_status_says_tracks_where_they_are_used():
     frame = Frame(None, None, 0.0, 0, Kind.TRACKS)
     followed = replace(CONFIG, tracking=True)

@@ -18,6 +18,7 @@ from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.ros.inputs.conversions import Cloud
 from softtissue_estimator.ros.inputs.correspondences import read_correspondences
 from softtissue_estimator.ros.inputs.point_labels import read_labels
+from softtissue_estimator.ros.inputs.point_normals import read_normals, turn_normals
 from softtissue_estimator.ros.inputs.registration import OrganPose, transform_points
 
 FloatArray = NDArray[np.float64]
@@ -118,6 +119,8 @@ def ask_about_bare(
 ) -> Bare:
     """Make a question of a cloud without correspondences; what its fields say not to be of the organ is left out.
 
+    The normals of its points are taken with them, where its fields say them.
+
     Parameters
     ----------
     tracked : bool
@@ -128,7 +131,7 @@ def ask_about_bare(
     InvalidInputError
         If it cannot be used.
     """
-    labels = read_labels(message, config.organ_label)
+    labels, normals = read_labels(message, config.organ_label), read_normals(message)
     with np.errstate(invalid="ignore", over="ignore"):
         finite = np.isfinite(cloud.points @ np.ones(3, cloud.points.dtype))
     # Large clouds are half empty: what is left out first need not be moved.
@@ -143,8 +146,10 @@ def ask_about_bare(
             f" fields, {len(row) - count} further than {1e3 * config.max_displacement_m:g} mm from where it was)"
         )
     track = labels.track[row[near]] if tracked and labels.track is not None else None
+    if normals is not None:
+        normals = turn_normals(pose.organ_from_cloud, normals.take(row[near], axis=0))
     watch.lap("read")
-    bare, _ = make_bare_cloud(points.compress(near, axis=0), None, config, track)
+    bare, _ = make_bare_cloud(points.compress(near, axis=0), None, config, track, normals)
     bare = replace(
         bare,
         viewpoint=_viewpoint(pose, config.viewpoint),
