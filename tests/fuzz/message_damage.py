@@ -35,8 +35,8 @@ _FLOATS = (
 )
 _MOST_NUMBERS = 300_000
 _NAMES = (
-    "", "x", "y", "z", "id", "label", "organ_mask", "ref_x", "ref_y", "ref_z", "rgb", "X", "x" * 5000, "a\nb",
-    "\x1b[2J", "\u202e",
+    "", "x", "y", "z", "id", "label", "organ_mask", "ref_x", "ref_y", "ref_z", "normal_x", "normal_y", "normal_z",
+    "rgb", "X", "x" * 5000, "a\nb", "\x1b[2J", "\u202e",
 )  # fmt: skip
 _FRAMES = ("organ", "camera", "endoscope", "", "/organ", "a" * 5000, "a\nb\x1b[2J", "\u202e\u2028", "ORGAN ")
 _PATHS = (
@@ -59,6 +59,7 @@ def good_message(kind: str, scene: Scene, stamp: int = 10**18) -> list[Any]:
         {
             "cloud": lambda: scene.cloud(stamp),
             "bare": lambda: scene.bare_cloud(stamp),
+            "normals": lambda: scene.cloud_with_normals(stamp),
             "camera_pose": lambda: _camera_pose(stamp),
             "registration": lambda: registration_message(CAMERA_FROM_ORGAN),
             "registration_with_covariance": lambda: pose_message(CAMERA_FROM_ORGAN, 1e-4 * np.eye(6)),

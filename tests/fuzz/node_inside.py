@@ -47,7 +47,7 @@ _VALUES: dict[str, Any] = {
 
 
 # Nobody publishes correspondences here, so that a cloud would not wait for its own.
-_MATCHING = {"cloud": "auto", "pair": "given", "bare": "closest"}
+_MATCHING = {"cloud": "auto", "pair": "given", "bare": "closest", "normals": "closest"}
 
 
 class Kept:
