@@ -107,6 +107,6 @@ def make_bare_cloud(
         array[usable],
         spread[usable],
         track=None if track is None else track[usable],
-        normals=None if vectors is None else unit_normals(vectors[usable]),
+        normals=None if vectors is None else unit_normals(vectors.compress(usable, axis=0)),
     )
     return cloud, len(array) - count
