@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from softtissue_estimator.overlay.buffers import Buffers
 from softtissue_estimator.overlay.camera import Camera
 from softtissue_estimator.overlay.rasteriser import fill_depth, fill_triangles
 from softtissue_estimator.overlay.scene import FloatArray, Numbers
@@ -20,6 +21,7 @@ WIDEST_SHARE = 0.08
 _REFERENCE_ROWS = 480  # of an image on which lines have their least width
 _CELLS = 240  # along the height of an image, in each of which a disc is drawn where a band is wide
 _LINE_PX = 1.0  # half width of a line there
+_ROUND_ALONE = 2  # pixels round a structure that is drawn alone, which show that it ends there
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,17 +44,18 @@ class Window:
 
 
 class Drawing:
-    """Buffers of a window, and what is drawn into them."""
+    """Buffers of a window, and what is drawn into them. It holds until the next one is made with the same `Buffers`."""
 
-    def __init__(self, window: Window, camera: Camera, structures: int) -> None:
+    def __init__(self, window: Window, camera: Camera, structures: int, buffers: Buffers) -> None:
         self._window, self._camera = window, camera
-        self._structures = structures
-        self._labels = np.zeros(window.shape, np.uint8)
-        self._nearness = np.zeros(window.shape, np.float32)
-        self._drawn = np.empty((*window.shape, 2), np.float32)
-        self._strength = np.zeros(window.shape, np.float32)
-        self._cover = np.zeros(window.shape, np.float32)
-        self._owner = np.zeros(window.shape, np.uint8)
+        self._structures, self._buffers = structures, buffers
+        self._labels = buffers.zeros("labels", window.shape, np.uint8)
+        self._nearness = buffers.zeros("nearness", window.shape, np.float32)
+        self._cover = buffers.zeros("cover", window.shape, np.float32)
+        self._owner = buffers.zeros("owner", window.shape, np.uint8)
+        # Of these only what was filled is read.
+        self._drawn = buffers.empty("drawn", (*window.shape, 2), np.float32)
+        self._strength = buffers.empty("strength", window.shape, np.float32)
 
     @property
     def covered(self) -> NDArray[np.bool_]:
@@ -104,10 +107,15 @@ class Drawing:
         dashes: int,
         half_width: float,
     ) -> None:
-        """Draw a line round a structure alone (`draw_contour`)."""
-        alone = np.zeros(self._window.shape, np.float32)
-        fill_depth(self._placed(pixels), faces, alone)
-        draw_contour(alone, label, strength, dashes, half_width, self._cover, self._owner)
+        """Draw a line round a structure alone (`draw_contour`), which must lie in the window."""
+        window = self._window
+        box = find_window([pixels], self._camera, _ROUND_ALONE)
+        if box is None:
+            return
+        alone = self._buffers.zeros("alone", box.shape, np.float32)
+        fill_depth(with_nearness(pixels, box.left, box.top), faces, alone)
+        corner = box.top - window.top, box.left - window.left
+        draw_contour(alone, *corner, label, strength, dashes, half_width, self._cover, self._owner)
 
     def onto(self, image: Image, colours: FloatArray) -> None:
         """Mix everything with an image; `colours` (s, 3), 0 to 1, in its order."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from softtissue_estimator.overlay.buffers import Buffers
 from softtissue_estimator.overlay.camera import Camera
 from softtissue_estimator.overlay.drawing import (
     COARSER,
@@ -52,6 +53,7 @@ def paint(
     margin_m: float = 0.0,
     names: bool = True,
     names_below: int = 0,
+    buffers: Buffers | None = None,
 ) -> list[Outlined]:
     """Draw structures on an image.
 
@@ -74,6 +76,8 @@ def paint(
         Whether names and depths are written, where there is place.
     names_below : int
         Row above which no name is written.
+    buffers : Buffers, optional
+        Memory of the image before, which is taken again.
 
     Returns
     -------
@@ -90,7 +94,7 @@ def paint(
     surface = _surface(camera, structures, placed.surface)
     values = np.stack([_shades(placed.points, normals), sigma_px], axis=1)
     colours = structures.colours if order == "rgb" else structures.colours[:, ::-1]
-    drawing = Drawing(window, camera, len(structures.names))
+    drawing = Drawing(window, camera, len(structures.names), Buffers() if buffers is None else buffers)
     for number, faces in enumerate(structures.faces):
         drawing.add(pixels[structures.part(number)], faces, values[structures.part(number)], number + 1)
     extents = drawing.outline(surface)
@@ -130,7 +134,7 @@ def outline(
     window = find_window([pixels], camera, 4)
     if window is None:
         return
-    drawing = Drawing(window, camera, len(structures.names))
+    drawing = Drawing(window, camera, len(structures.names), Buffers())
     for number, faces in enumerate(structures.faces):
         drawing.add_contour(pixels[structures.part(number)], faces, number + 1, 1.0, dashes, 0.5)
     drawing.onto(image, np.tile(np.array(colour) / 255.0, (len(structures.names), 1)))

@@ -76,12 +76,17 @@ def draw_disc(
     """Cover a disc, where nothing covers it more strongly."""
     rows, columns = cover.shape
     reach = int(radius)
+    # Whether `strength` is above a cover, in the precision of the latter, in which many pixels are compared at a time.
+    found = np.float32(strength)
+    above = found if found >= strength else np.nextafter(found, np.float32(np.inf))
     for y in range(max(0, row - reach), min(rows, row + reach + 1)):
         half = int(math.sqrt(radius * radius - (y - row) ** 2))
-        for x in range(max(0, column - half), min(columns, column + half + 1)):
-            if strength > cover[y, x]:
-                cover[y, x] = strength
-                owner[y, x] = label
+        # Numbers without a sign and no branch, or the compiler makes no vector of the pixels.
+        first, end = np.uint64(max(0, column - half)), np.uint64(min(columns, column + half + 1))
+        for x in range(first, end):
+            before, whose = cover[y, x], owner[y, x]
+            cover[y, x] = found if before < above else before
+            owner[y, x] = label if before < above else whose
 
 
 @compiled(
@@ -140,9 +145,11 @@ def draw_outlines(
             draw_disc(cover, owner, row, column, sigma, BAND * strength[row, column], label)
 
 
-@compiled("void(float32[:,::1], uint8, float32, int32, float32, float32[:,::1], uint8[:,::1])")
+@compiled("void(float32[:,::1], int64, int64, uint8, float32, int32, float32, float32[:,::1], uint8[:,::1])")
 def draw_contour(
     nearness: Floats,
+    top: int,
+    left: int,
     label: int,
     strength: float,
     dashes: int,
@@ -152,7 +159,7 @@ def draw_contour(
 ) -> None:
     """Draw a line round what a depth buffer (rows, columns) shows: dashed, or whole where `dashes` is 0.
 
-    `cover` and `owner` are as of `draw_outlines`.
+    `cover` and `owner` are as of `draw_outlines`; the depth buffer begins at their row `top` and column `left`.
     """
     rows, columns = nearness.shape
     count, middle_row, middle_column = 0, 0.0, 0.0
@@ -180,7 +187,7 @@ def draw_contour(
             turn = math.atan2(row - middle_row, column - middle_column) / (2.0 * math.pi) + 0.5
             if dashes > 0 and int(2 * dashes * turn) % 2 == 1:
                 continue
-            draw_disc(cover, owner, row, column, half_width, strength, label)
+            draw_disc(cover, owner, row + top, column + left, half_width, strength, label)
 
 
 @compiled(

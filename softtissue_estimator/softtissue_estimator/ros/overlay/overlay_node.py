@@ -13,6 +13,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from softtissue_msgs.msg import EstimatorStatus, Structures
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.overlay.buffers import Buffers
 from softtissue_estimator.overlay.camera import Camera
 from softtissue_estimator.overlay.labels import banner_rows, write_banner
 from softtissue_estimator.overlay.painter import paint
@@ -76,7 +77,7 @@ class OverlayNode(BoundedPlainNode):
         self._answers = Answers(registration)
         self._camera_info: CameraInfo | None = None
         self._camera: tuple[CameraInfo, bool, Camera] | None = None
-        self._buffer = ImageBuffer()
+        self._buffer, self._buffers = ImageBuffer(), Buffers()
         self._image = self.create_publisher(Image, "~/image", ANSWER_QOS)
         self._compressed = self.create_publisher(CompressedImage, "~/image/compressed", ANSWER_QOS)
         self._worker: LatestWorker[Any] = LatestWorker(
@@ -164,6 +165,7 @@ class OverlayNode(BoundedPlainNode):
                     margin_m=1e-3 * settings.margin_mm,
                     names=settings.names,
                     names_below=banner_rows(canvas, reason) if head else 0,
+                    buffers=self._buffers,
                 )
         if head:
             colour = _AMBER if head == "DEGRADED" else _RED
