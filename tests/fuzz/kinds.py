@@ -1,6 +1,7 @@
 """The kinds of damaged input, and how many inputs of each make a number of them."""
 
 from fuzz.bags import Bags
+from fuzz.images import Images
 from fuzz.kind import Kind
 from fuzz.meshes import LibraryMeshes, Meshes
 from fuzz.messages import Messages
@@ -20,6 +21,7 @@ KINDS: tuple[type[Kind], ...] = (
     Weights,
     Bags,
     Messages,
+    Images,
     OverDds,
 )
 

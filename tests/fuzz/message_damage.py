@@ -16,8 +16,8 @@ from softtissue_msgs.srv import DecideRegistration, LoadOrgan, Register, Reset, 
 from fuzz.damage import WHOLE_NUMBERS, damaged_bytes, how_often
 from integration.harness import CAMERA_FROM_ORGAN, Scene, pose_message, registration_message, stamp_message
 
-_UNSIGNED = tuple(n for n in WHOLE_NUMBERS if 0 <= n < 2**32)
-_FLOATS = (
+UNSIGNED = tuple(n for n in WHOLE_NUMBERS if 0 <= n < 2**32)
+FLOATS = (
     0.0,
     1.0,
     -1.0,
@@ -38,7 +38,7 @@ _NAMES = (
     "", "x", "y", "z", "id", "label", "organ_mask", "ref_x", "ref_y", "ref_z", "normal_x", "normal_y", "normal_z",
     "rgb", "X", "x" * 5000, "a\nb", "\x1b[2J", "\u202e",
 )  # fmt: skip
-_FRAMES = ("organ", "camera", "endoscope", "", "/organ", "a" * 5000, "a\nb\x1b[2J", "\u202e\u2028", "ORGAN ")
+FRAMES = ("organ", "camera", "endoscope", "", "/organ", "a" * 5000, "a\nb\x1b[2J", "\u202e\u2028", "ORGAN ")
 _PATHS = (
     "", "/nowhere", "/proc/1", "/proc/self/mem", "/dev/zero", "x" * 300, "/a" * 3000, "~nosuchuser", "\x1b[2J", ".",
     "/", "..", "/tmp", "/etc/passwd", "organ.yaml", "\n", "//", "~",
@@ -88,9 +88,13 @@ def damaged_message(rng: random.Random, kind: str, scene: Scene) -> list[Any]:
     """Messages of a kind with some values changed."""
     messages = good_message(kind, scene, rng.randrange(1, 2**31 - 1) * 10**9 + rng.randrange(10**9))
     for _ in range(how_often(rng)):
-        message = rng.choice(messages)
-        _CHANGES[type(message)](rng, message)
+        changed(rng, rng.choice(messages))
     return messages
+
+
+def changed(rng: random.Random, message: Any) -> None:
+    """Change some value of a message."""
+    _CHANGES[type(message)](rng, message)
 
 
 def _header(rng: random.Random, header: Any) -> None:
@@ -100,7 +104,7 @@ def _header(rng: random.Random, header: Any) -> None:
             nanosec=rng.choice((0, 1, 10**9 - 1, 10**9, 2**32 - 1)),
         )
     else:
-        header.frame_id = rng.choice(_FRAMES)
+        header.frame_id = rng.choice(FRAMES)
 
 
 def _cloud(rng: random.Random, cloud: PointCloud2) -> None:
@@ -126,13 +130,13 @@ def _cloud(rng: random.Random, cloud: PointCloud2) -> None:
             share = rng.choice((0.001, 0.1, 1.0))
             chosen = np.random.default_rng(rng.getrandbits(32)).random(len(values)) < share
             with np.errstate(over="ignore"):
-                values[chosen] = np.float32(rng.choice(_FLOATS))
+                values[chosen] = np.float32(rng.choice(FLOATS))
             cloud.data = values.tobytes()
 
 
 def _near(rng: random.Random, cloud: PointCloud2) -> int:
     true = rng.choice((cloud.width, cloud.point_step, cloud.row_step, len(cloud.data)))
-    return rng.choice((*_UNSIGNED, true, true + 1, max(true - 1, 0), min(2 * true, 2**32 - 1)))
+    return rng.choice((*UNSIGNED, true, true + 1, max(true - 1, 0), min(2 * true, 2**32 - 1)))
 
 
 def _fields(rng: random.Random, cloud: PointCloud2) -> None:
@@ -145,11 +149,11 @@ def _fields(rng: random.Random, cloud: PointCloud2) -> None:
     elif what == 2:
         fields[at].name = rng.choice(_NAMES)
     elif what == 3:
-        fields[at].offset = rng.choice((*_UNSIGNED, 20, 21, 24))
+        fields[at].offset = rng.choice((*UNSIGNED, 20, 21, 24))
     elif what == 4:
         fields[at].datatype = rng.choice((0, 1, 2, 5, 6, 7, 8, 9, 255))
     elif what == 5:
-        fields[at].count = rng.choice(_UNSIGNED)
+        fields[at].count = rng.choice(UNSIGNED)
     else:
         fields *= rng.choice((2, 50))
     cloud.fields = [copy.deepcopy(field) for field in fields[:500]]
@@ -169,7 +173,7 @@ def _pairs(rng: random.Random, pairs: Correspondences) -> None:
     elif what == 2:
         index = rng.choice((list(range(entries)), [0] * entries, list(range(entries))[::-1], [entries], []))
         if index and rng.random() < 0.5:
-            index[rng.randrange(len(index))] = rng.choice(_UNSIGNED)
+            index[rng.randrange(len(index))] = rng.choice(UNSIGNED)
         pairs.index = index
     elif what == 3:
         sigma = [0.002] * rng.choice((entries, entries, 1, 0, entries + 1))
@@ -177,22 +181,22 @@ def _pairs(rng: random.Random, pairs: Correspondences) -> None:
             sigma[rng.randrange(len(sigma))] = _as_float32(rng)
         pairs.sigma = sigma
     else:
-        pairs.header.frame_id = rng.choice(_FRAMES)
+        pairs.header.frame_id = rng.choice(FRAMES)
 
 
 def _as_float32(rng: random.Random) -> float:
     with np.errstate(over="ignore"):
-        return float(np.float32(rng.choice(_FLOATS)))
+        return float(np.float32(rng.choice(FLOATS)))
 
 
 def _registration(rng: random.Random, message: TransformStamped) -> None:
     if rng.random() < 0.2:
         _header(rng, message.header)
     elif rng.random() < 0.3:
-        message.child_frame_id = rng.choice(_FRAMES)
+        message.child_frame_id = rng.choice(FRAMES)
     else:
         part, axis = rng.choice((("translation", "xyz"), ("rotation", "xyzw")))
-        setattr(getattr(message.transform, part), rng.choice(axis), rng.choice(_FLOATS))
+        setattr(getattr(message.transform, part), rng.choice(axis), rng.choice(FLOATS))
 
 
 def _pose(rng: random.Random, message: PoseWithCovarianceStamped) -> None:
@@ -200,9 +204,9 @@ def _pose(rng: random.Random, message: PoseWithCovarianceStamped) -> None:
         _header(rng, message.header)
     elif rng.random() < 0.3:
         part, axis = rng.choice((("position", "xyz"), ("orientation", "xyzw")))
-        setattr(getattr(message.pose.pose, part), rng.choice(axis), rng.choice(_FLOATS))
+        setattr(getattr(message.pose.pose, part), rng.choice(axis), rng.choice(FLOATS))
     else:
-        covariance, value = np.array(message.pose.covariance).reshape(6, 6), rng.choice(_FLOATS)
+        covariance, value = np.array(message.pose.covariance).reshape(6, 6), rng.choice(FLOATS)
         row, column = rng.randrange(6), rng.randrange(6)
         covariance[row, column] = value
         if rng.random() < 0.7:
@@ -219,7 +223,7 @@ def _warp(rng: random.Random, request: WarpPoints.Request) -> None:
     points = (points * min(times, 1 + _MOST_NUMBERS // max(1, len(points))))[:_MOST_NUMBERS]
     points = points[: rng.choice((len(points), len(points), 0, 1, 4))]
     if points:
-        points[rng.randrange(len(points))] = rng.choice(_FLOATS)
+        points[rng.randrange(len(points))] = rng.choice(FLOATS)
     request.points = points
 
 
@@ -230,9 +234,9 @@ def _start(rng: random.Random, request: Register.Request) -> None:
         _pose(rng, stamped)
         request.start, request.use_start = stamped.pose, True
     elif what == 1:
-        request.landmarks = [rng.choice(_FRAMES) for _ in range(rng.choice((1, 3, 200)))]
+        request.landmarks = [rng.choice(FRAMES) for _ in range(rng.choice((1, 3, 200)))]
     elif what == 2:
-        request.landmark_points = [rng.choice(_FLOATS) for _ in range(rng.choice((0, 1, 9, 600)))]
+        request.landmark_points = [rng.choice(FLOATS) for _ in range(rng.choice((0, 1, 9, 600)))]
     else:
         request.apply, request.use_start = rng.random() < 0.5, rng.random() < 0.5
 
@@ -248,8 +252,8 @@ def _load(rng: random.Random, request: LoadOrgan.Request) -> None:
 def _parameters(rng: random.Random, request: SetParameters.Request) -> None:
     value = ParameterValue(type=rng.choice((*range(10), 3, 3, 3, 10, 77, 255)))
     value.bool_value, value.integer_value = rng.random() < 0.5, rng.choice((0, 1, -1, 5, 2**63 - 1, -(2**63)))
-    value.double_value, value.string_value = rng.choice(_FLOATS), rng.choice(_PATHS)
-    value.double_array_value, value.string_array_value = [rng.choice(_FLOATS)], [rng.choice(_PATHS)]
+    value.double_value, value.string_value = rng.choice(FLOATS), rng.choice(_PATHS)
+    value.double_array_value, value.string_array_value = [rng.choice(FLOATS)], [rng.choice(_PATHS)]
     request.parameters = [*request.parameters, Parameter(name=rng.choice(PARAMETERS), value=value)][
         -rng.choice((1, 3)) :
     ]

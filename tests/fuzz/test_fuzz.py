@@ -23,6 +23,7 @@ SAMPLES = {
     "weights": 60,
     "bags": 40,
     "messages": 50,
+    "images": 150,
     "over DDS": 2,
 }
 

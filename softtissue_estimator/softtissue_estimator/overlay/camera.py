@@ -71,7 +71,7 @@ class Camera:
             than `NEAREST_M` or so far to the side that the distortion says nothing of them.
         """
         points = np.asarray(points, dtype=np.float64) + self.shift
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             seen = np.isfinite(points).all(axis=1) & (points[:, 2] > NEAREST_M)
             slope = np.hypot(points[:, 0], points[:, 1]) / points[:, 2]
             seen &= slope <= self._widest
@@ -145,8 +145,10 @@ def make_camera(
     if not (np.isfinite(given).all() and np.isfinite(numbers).all()):
         raise InvalidInputError("camera_info: expected finite numbers, got some that are not")
     whole = given.reshape(3, -1)
-    focal = whole[[0, 1], [0, 1]]
-    if focal.min() <= 0.0 or whole[2, 2] == 0.0:
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        camera = np.ascontiguousarray(whole[:, :3] / whole[2, 2])
+    focal = camera[[0, 1], [0, 1]]
+    if not (np.isfinite(camera).all() and focal.min() > 0.0):
         raise InvalidInputError(
             f"camera_info: expected positive focal lengths (a calibrated camera), got {focal[0]:g} and {focal[1]:g}"
         )
@@ -158,5 +160,4 @@ def make_camera(
     shift: FloatArray = np.zeros(3)
     if whole.shape[1] == 4:
         shift = np.asarray(np.linalg.solve(whole[:, :3], whole[:, 3]), dtype=np.float64)
-    camera = np.ascontiguousarray(whole[:, :3] / whole[2, 2])
     return Camera(columns, rows, camera, model or "plumb_bob", numbers, shift)

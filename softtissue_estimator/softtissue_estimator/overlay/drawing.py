@@ -149,7 +149,12 @@ def find_window(pixels: list[FloatArray], camera: Camera, edge: int) -> Window |
     everything = everything[np.isfinite(everything).all(axis=1)]
     if not len(everything):
         return None
-    left, top = np.maximum(np.floor(everything.min(axis=0)).astype(int) - edge, 0).tolist()
-    right, bottom = np.ceil(everything.max(axis=0)).astype(int) + edge
+    # A camera may put things farther away than whole numbers reach.
+    size = np.array([camera.columns, camera.rows]) + (edge + 1.0)
+    first, last = (
+        np.clip(end, -edge - 1.0, size) for end in (everything.min(axis=0), everything.max(axis=0))
+    )
+    left, top = np.maximum(np.floor(first).astype(int) - edge, 0).tolist()
+    right, bottom = np.ceil(last).astype(int) + edge
     columns, rows = min(int(right) + 1, camera.columns) - left, min(int(bottom) + 1, camera.rows) - top
     return Window(left, top, columns, rows) if columns > 0 and rows > 0 else None

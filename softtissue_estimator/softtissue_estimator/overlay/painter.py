@@ -142,13 +142,15 @@ def outline(
 
 def _normals(points: FloatArray, faces: Numbers) -> Floats:
     normals = np.empty(points.shape, np.float32)
-    vertex_normals(points.astype(np.float32), faces, normals)
+    with np.errstate(over="ignore"):  # what is that far away is not on the image
+        single = points.astype(np.float32)
+    vertex_normals(single, faces, normals)
     return normals
 
 
 def _shades(points: FloatArray, normals: list[Floats]) -> Floats:
     """How much each vertex faces the camera, 0 to 1."""
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         away = points / np.linalg.norm(points, axis=1, keepdims=True)
         towards = np.abs(
             np.einsum("ij,ij->i", away, np.concatenate([np.zeros((0, 3), np.float32), *normals]))
@@ -158,7 +160,7 @@ def _shades(points: FloatArray, normals: list[Floats]) -> Floats:
 
 def _sigma_px(camera: Camera, sigma: FloatArray, pixels: FloatArray) -> Floats:
     """Return standard deviations across the line of sight, pixels."""
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         wide: Floats = np.asarray(camera.focal * sigma / pixels[:, 2], dtype=np.float32)
     return wide
 
@@ -196,7 +198,7 @@ def _depths(
     camera: Camera, structures: Structures, points: FloatArray, pixels: FloatArray, surface: Floats
 ) -> list[float]:
     """Least depth of each structure below the surface along the line of sight, m; NaN where that is not known."""
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         column, row = (np.nan_to_num(pixels[:, :2], nan=-1.0).round() // COARSER).astype(int).T
         inside = (column >= 0) & (column < surface.shape[1]) & (row >= 0) & (row < surface.shape[0])
         outer = np.zeros(len(points))

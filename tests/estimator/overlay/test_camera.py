@@ -100,6 +100,8 @@ def test_projection_matrix_of_the_right_eye_shifts_points():
         ((0, 480), MATRIX, "plumb_bob", [], "1 to 16384 pixels a side, got 0 x 480"),
         ((640, 480), [0.0] * 9, "plumb_bob", [], "positive focal lengths"),
         ((640, 480), [np.nan] * 9, "plumb_bob", [], "finite numbers"),
+        ((640, 480), [*MATRIX[:8], 1e-307], "plumb_bob", [], "positive focal lengths"),
+        ((640, 480), [*MATRIX[:8], -1.0], "plumb_bob", [], "positive focal lengths"),
         ((640, 480), MATRIX, "plumb_bob", [0.1, 0.2], "plumb_bob .* with 2 numbers"),
         ((640, 480), MATRIX, "thin_plate", [0.1] * 4, "'thin_plate' with 4 numbers"),
     ],

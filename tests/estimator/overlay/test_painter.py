@@ -114,6 +114,19 @@ def test_nothing_that_is_not_seen_is_drawn():
     np.testing.assert_array_equal(image, GREY)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("far", [1e30, 1e300])
+def test_what_is_farther_away_than_numbers_reach_is_not_drawn(far):
+    image = picture()
+    structures, placed = balls([(far, 0.0, 0.15), (0.0, 0.0, 0.15)], [0.02, 0.02])
+    with np.errstate(all="warn"):
+        (shown,) = paint(image, CAMERA, structures, placed, names=False)
+    assert shown.pixels > 1000
+    alone = picture()
+    paint(alone, CAMERA, *balls([(0.0, 0.0, 0.15)], [0.02]), names=False)
+    np.testing.assert_array_equal(changed(image), changed(alone))
+
+
 def test_structure_that_reaches_across_the_border_is_drawn_up_to_it():
     image = picture()
     paint(image, CAMERA, *balls([(0.08, 0.0, 0.15)], [0.03]), names=False)

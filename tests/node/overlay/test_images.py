@@ -99,6 +99,13 @@ def png_of_size(columns, rows):
     return bytes(data)
 
 
+def png_with_a_chunk_of(length):
+    """A PNG file whose last chunk is said to be longer than the file: nobody has memory for it."""
+    data = bytearray(cv2.imencode(".png", np.zeros((1, 1, 3), np.uint8))[1].tobytes())
+    data[-12:-8] = length.to_bytes(4, "big")
+    return bytes(data)
+
+
 @pytest.mark.parametrize(
     ("data", "words"),
     [
@@ -106,6 +113,7 @@ def png_of_size(columns, rows):
         (b"RIFF" + bytes(200), "got 204 bytes of something else"),
         (b"\xff\xd8\xff" + bytes(50), "got 53 bytes that cannot"),
         (png_of_size(60_000, 60_000), "bytes that cannot"),
+        (png_with_a_chunk_of(2**31 - 1), "bytes that cannot"),
     ],
 )
 def test_file_that_is_no_image_is_refused(data, words):

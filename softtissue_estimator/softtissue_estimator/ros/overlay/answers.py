@@ -238,8 +238,9 @@ def read_points(message: PointCloud2) -> Points:
     check_stamp(message.header.stamp, "answer")
     deviations = "sigma" in field_names(message)
     table = records(message, ("x", "y", "z", *(("sigma",) if deviations else ())))
-    points = columns(table, ("x", "y", "z")).astype(np.float64)
-    sigma = table["sigma"].reshape(-1).astype(np.float64) if deviations else np.full(len(points), np.nan)
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is not drawn
+        points = columns(table, ("x", "y", "z")).astype(np.float64)
+        sigma = table["sigma"].reshape(-1).astype(np.float64) if deviations else np.full(len(points), np.nan)
     return Points(stamp_ns(message.header.stamp), message.header.frame_id, points, sigma)
 
 

@@ -33,7 +33,7 @@ _ENCODINGS: dict[str, tuple[int, Order, int | None]] = {
 }
 # How the files begin that are decoded: each further format would be further code that reads what anybody sends.
 _FILES = {b"\xff\xd8\xff": "JPEG", b"\x89PNG\r\n\x1a\n": "PNG"}
-_SENTINEL_PIXELS = bytes(range(48, 112))
+_PNG_START, _CHUNK_FRAME = 8, 12  # bytes of a PNG file's beginning, and of a chunk beside its content
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,16 +108,31 @@ def read_compressed_image(message: CompressedImage) -> Picture:
             f"image: expected a file of {' or '.join(_FILES.values())}, got {len(data)} bytes of something else"
             f" (format {one_sentence(message.format, 40)!r})"
         )
-    try:
-        pixels = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    except cv2.error:  # of a size beyond what is taken, say
-        pixels = None
+    pixels = None
+    if _has_whole_chunks(data.tobytes()):
+        try:
+            pixels = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        except cv2.error:  # of a size beyond what is taken, say
+            pixels = None
     if pixels is None:
         raise InvalidInputError(
             f"image: expected a file that can be decoded, got {len(data)} bytes that cannot"
         )
     decoded: Pixels = np.asarray(pixels, dtype=np.uint8)
     return Picture(decoded, "bgr", message.header.frame_id, stamp_ns(message.header.stamp))
+
+
+def _has_whole_chunks(data: bytes) -> bool:
+    """Say whether a PNG file holds its chunks: OpenCV takes memory for what they say, however long the file is."""
+    at = _PNG_START
+    if _FILES.get(data[:at]) != "PNG":
+        return True
+    while at < len(data):
+        length = int.from_bytes(data[at : at + 4], "big")
+        if at + _CHUNK_FRAME + length > len(data):
+            return False
+        at += _CHUNK_FRAME + length
+    return True
 
 
 def read_camera(message: CameraInfo, rectified: bool) -> Camera:

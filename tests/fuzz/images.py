@@ -1,0 +1,293 @@
+"""Damaged images, cameras and answers, put into the callbacks of a whole overlay in this process."""
+
+import random
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fuzz.damage import damaged_bytes, how_often
+from fuzz.kind import FailedError, Kind, MissingError, check_sentence, expect
+
+try:
+    import cv2
+    import rclpy
+    from geometry_msgs.msg import PoseWithCovarianceStamped
+    from rclpy.serialization import deserialize_message, serialize_message
+    from rclpy.signals import SignalHandlerOptions
+    from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+    from softtissue_msgs.msg import EstimatorStatus, Structures
+
+    from fuzz.message_damage import FLOATS, FRAMES, UNSIGNED, changed
+    from fuzz.node_inside import Kept
+    from integration.harness import CAMERA_FROM_ORGAN, cloud_message, pose_message, stamp_message, write_organ
+    from softtissue_estimator.organ.organ import load_organ
+    from softtissue_estimator.ros.outputs.structures import structures_message
+    from softtissue_estimator.ros.overlay.overlay_node import OverlayNode
+except ImportError as error:
+    MISSING = str(error)
+else:
+    MISSING = ""
+
+_BYTES_SHARE = 0.25
+_COLUMNS, _ROWS, _FOCAL = 160, 120, 150.0
+_STAMP = 10**18
+_KINDS = ("image", "jpeg", "png") * 3 + ("camera_info",) * 3 + (
+    "structures", "deformed_points", "deformed_surface", "registration", "status",
+)  # fmt: skip
+_ENCODINGS = (
+    "rgb8", "bgr8", "rgba8", "bgra8", "mono8", "8UC1", "8UC3", "yuv422", "uyvy", "yuyv", "yuv422_yuy2", "mono16", "",
+    "32FC1", "bayer_rggb8", "x" * 5000, "\x1b[2J",
+)  # fmt: skip
+_MODELS = ("plumb_bob", "rational_polynomial", "equidistant", "", "thin_prism", "a\nb", "x" * 5000)
+
+
+class Images(Kind):
+    """Images, files of images, cameras, and what the estimator says, in an overlay."""
+
+    name = "images"
+    share = 3
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        if MISSING:
+            raise MissingError(MISSING)
+        self._organ = load_organ(write_organ(folder / "organ"))
+        self._fatal: list[BaseException] = []
+        rclpy.init(
+            args=["--ros-args", "--log-level", "fatal"], signal_handler_options=SignalHandlerOptions.NO
+        )
+        self._node = _WatchedOverlay(self._fatal.append)
+        # Two topics are called registration: the one that is given, and the answers'.
+        self._subscriptions = {
+            s.topic_name.rpartition("/")[2]: s
+            for s in self._node.subscriptions
+            if s.topic_name != "/registration"
+        }
+        self._first = self._drawn_well()
+
+    def make(self, rng: random.Random) -> tuple[str, bytes]:
+        kind = rng.choice(_KINDS)
+        message = self._good(kind)
+        for _ in range(how_often(rng)):
+            _change(rng, message)
+        content = serialize_message(message)
+        if rng.random() < _BYTES_SHARE:
+            content = content[:4] + damaged_bytes(rng, content[4:])
+        return f"{kind}.cdr", content
+
+    def run(self, name: str, content: bytes) -> str:
+        kind = name.removesuffix(".cdr")
+        try:
+            message = deserialize_message(content, type(self._good(kind)))
+        except Exception:  # such bytes the middleware leaves, whose error is counted (`BoundedExecutor`)
+            return "no message"
+        faults, self._node.said = self._node.boundary.faults, []
+        outcome = self._give(kind, message)
+        for sentence in self._node.said:
+            check_sentence(sentence)
+        expect(not self._fatal, f"the overlay wants to end: {self._fatal}")
+        if self._node.boundary.faults != faults:
+            raise FailedError(f"something else than a SoftTissueError was raised: {self._node.said}")
+        return outcome
+
+    def check_good(self) -> None:
+        expect(
+            np.array_equal(self._drawn_well(), self._first),
+            "a good image is drawn on otherwise than at first",
+        )
+
+    def close(self) -> None:
+        self._node.close(2.0)
+        self._node.destroy_node()
+        rclpy.try_shutdown()
+
+    def _give(self, kind: str, message: Any) -> str:
+        """Give a message to the overlay, and draw if it is no image itself; return in a word what became of it."""
+        image = message
+        if kind not in ("image", "jpeg", "png"):
+            self._subscriptions[kind].callback(message)
+            image = self._good("image")
+        before = len(self._node.images)
+        self._node.draw(image)
+        return "drawn" if len(self._node.images) > before else "refused"
+
+    def _drawn_well(self) -> np.ndarray:
+        for kind in (
+            "structures",
+            "camera_info",
+            "status",
+            "registration",
+            "deformed_points",
+            "deformed_surface",
+        ):
+            self._subscriptions[kind].callback(self._good(kind))
+        del self._node.images[:]
+        self._node.draw(self._good("image"))
+        expect(len(self._node.images) == 1, f"a good image is not drawn on: {self._node.said}")
+        drawn = np.frombuffer(bytes(self._node.images[0].data), dtype=np.uint8)
+        expect(bool((drawn != _plain().ravel()).any()), "nothing is drawn on a good image")
+        return drawn
+
+    def _good(self, kind: str) -> Any:
+        """Return a message of a kind as it should be."""
+        organ = self._organ
+        stamp = stamp_message(_STAMP)
+        if kind == "structures":
+            return structures_message(organ)
+        if kind == "camera_info":
+            info = CameraInfo(
+                width=_COLUMNS, height=_ROWS, distortion_model="plumb_bob", d=[0.1, 0.0, 0.0, 0.0, 0.0]
+            )
+            info.k = [_FOCAL, 0.0, _COLUMNS / 2, 0.0, _FOCAL, _ROWS / 2, 0.0, 0.0, 1.0]
+            info.p = [_FOCAL, 0.0, _COLUMNS / 2, 0.0, 0.0, _FOCAL, _ROWS / 2, 0.0, 0.0, 0.0, 1.0, 0.0]
+            return info
+        if kind == "status":
+            status = EstimatorStatus(level=EstimatorStatus.OK)
+            status.header.stamp = stamp
+            return status
+        if kind == "registration":
+            pose = pose_message(CAMERA_FROM_ORGAN, 1e-4 * np.eye(6))
+            pose.header.stamp, pose.header.frame_id = stamp, "camera"
+            return pose
+        if kind.startswith("deformed"):
+            meshes = [one.mesh for one in organ.structures] if kind == "deformed_points" else [organ.surface]
+            points = np.concatenate([mesh.vertices for mesh in meshes])
+            table = np.hstack([points, np.full((len(points), 1), 0.002)])
+            return cloud_message(table, ["x", "y", "z", "sigma"], _STAMP, organ.frame)
+        if kind == "image":
+            image = Image(
+                width=_COLUMNS, height=_ROWS, encoding="bgr8", step=3 * _COLUMNS, data=_plain().tobytes()
+            )
+        else:
+            suffix = {"jpeg": ".jpg", "png": ".png"}[kind]
+            image = CompressedImage(format=kind, data=cv2.imencode(suffix, _plain())[1].tobytes())
+        image.header.stamp, image.header.frame_id = stamp, "camera"
+        return image
+
+
+if not MISSING:
+
+    class _WatchedOverlay(OverlayNode):
+        """Publishes into lists, and draws when it is told to."""
+
+        def __init__(self, on_crash: Any) -> None:
+            self.said: list[str] = []
+            super().__init__(on_crash)
+            self.boundary.warn = self.said.append
+
+        def create_publisher(self, msg_type: Any, topic: str, *arguments: Any, **options: Any) -> Any:
+            if not topic.startswith("~/image"):
+                return super().create_publisher(msg_type, topic, *arguments, **options)
+            kept = Kept(msg_type)
+            if topic == "~/image":
+                self.images = kept.messages
+            return kept
+
+        def draw(self, message: Any) -> None:
+            self._draw(message)
+
+
+def _plain() -> np.ndarray:
+    row = np.linspace(0, 255, _COLUMNS).astype(np.uint8)
+    return np.tile(row[:, None], (_ROWS, 1, 3))
+
+
+def _change(rng: random.Random, message: Any) -> None:
+    changes = {
+        Image: _image,
+        CompressedImage: _file,
+        CameraInfo: _camera,
+        Structures: _structures,
+        EstimatorStatus: _status,
+        PointCloud2: changed,
+        PoseWithCovarianceStamped: changed,
+    }
+    changes[type(message)](rng, message)
+
+
+def _image(rng: random.Random, image: Any) -> None:
+    what = rng.randrange(5)
+    if what == 0:
+        image.encoding = rng.choice(_ENCODINGS)
+    elif what == 1:
+        side = rng.choice(("width", "height", "step"))
+        true = getattr(image, side)
+        setattr(image, side, rng.choice((*UNSIGNED, true + 1, max(0, true - 1), 2 * true % 2**32)))
+    elif what == 2:
+        image.data = damaged_bytes(rng, bytes(image.data))
+    elif what == 3:
+        image.is_bigendian = 1 - image.is_bigendian % 2
+    else:
+        _header(rng, image.header)
+
+
+def _file(rng: random.Random, image: Any) -> None:
+    what = rng.randrange(4)
+    if what == 0:
+        image.format = rng.choice(_ENCODINGS)
+    elif what == 1:
+        _header(rng, image.header)
+    else:
+        image.data = damaged_bytes(rng, bytes(image.data))
+
+
+def _camera(rng: random.Random, info: Any) -> None:
+    what = rng.randrange(6)
+    if what == 0:
+        setattr(info, rng.choice(("width", "height", "binning_x", "binning_y")), rng.choice(UNSIGNED))
+    elif what == 1:
+        info.distortion_model = rng.choice(_MODELS)
+    elif what == 2:
+        count = rng.choice((0, 4, 5, 8, 12, 14, 3))
+        info.d = [rng.choice((*FLOATS, 0.1, -0.2)) for _ in range(count)]
+    elif what == 3:
+        region = rng.choice(("x_offset", "y_offset", "width", "height"))
+        setattr(info.roi, region, rng.choice(UNSIGNED))
+    else:
+        name = rng.choice("kp")
+        values = np.array(getattr(info, name))
+        values[rng.randrange(len(values))] = rng.choice((*FLOATS, 100.0))
+        setattr(info, name, values)
+
+
+def _structures(rng: random.Random, structures: Any) -> None:
+    what = rng.randrange(5)
+    if what == 0:
+        _header(rng, structures.header)
+    elif what == 1:
+        name = rng.choice(("names", "kinds", "colours"))
+        setattr(structures, name, list(getattr(structures, name))[: rng.choice((0, 1, 2))])
+    elif what == 2:
+        name = rng.choice(("first_vertex", "first_face"))
+        values = list(getattr(structures, name))
+        if values:
+            values[rng.randrange(len(values))] = rng.choice(UNSIGNED)
+        setattr(structures, name, values[: rng.choice((0, 1, len(values), len(values)))])
+    elif what == 3:
+        name = rng.choice(("faces", "surface_faces"))
+        values = list(getattr(structures, name))
+        if values:
+            values[rng.randrange(len(values))] = rng.choice(UNSIGNED)
+        setattr(structures, name, values[: rng.choice((0, 1, 3, len(values), len(values)))])
+    elif structures.names:
+        at = rng.randrange(len(structures.names))
+        names = list(structures.names)
+        names[at] = rng.choice(FRAMES)
+        structures.names = names
+
+
+def _status(rng: random.Random, status: Any) -> None:
+    if rng.random() < 0.3:
+        _header(rng, status.header)
+    else:
+        status.level, status.reason = rng.choice((0, 1, 2, 3, 255)), rng.choice(FRAMES)
+
+
+def _header(rng: random.Random, header: Any) -> None:
+    if rng.random() < 0.5:
+        header.stamp.sec = rng.choice((0, 1, -1, 2**31 - 1, -(2**31)))
+    elif rng.random() < 0.5:
+        header.stamp.nanosec = rng.choice((0, 1, 10**9 - 1, 10**9, 2**32 - 1))
+    else:
+        header.frame_id = rng.choice(FRAMES)
