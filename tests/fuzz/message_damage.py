@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from sensor_msgs.msg import PointCloud2, PointField
 from softtissue_msgs.msg import Correspondences
-from softtissue_msgs.srv import DecideRegistration, LoadOrgan, Register, Reset, WarpPoints
+from softtissue_msgs.srv import DecideRegistration, Distance, LoadOrgan, Register, Reset, WarpPoints
 
 from fuzz.damage import WHOLE_NUMBERS, damaged_bytes, how_often
 from integration.harness import CAMERA_FROM_ORGAN, Scene, pose_message, registration_message, stamp_message
@@ -64,6 +64,7 @@ def good_message(kind: str, scene: Scene, stamp: int = 10**18) -> list[Any]:
             "registration": lambda: registration_message(CAMERA_FROM_ORGAN),
             "registration_with_covariance": lambda: pose_message(CAMERA_FROM_ORGAN, 1e-4 * np.eye(6)),
             "warp_points": lambda: WarpPoints.Request(points=[0.01, 0.0, 0.02, -0.01, 0.0, 0.0]),
+            "distance": lambda: Distance.Request(tool=_tool()),
             "load_organ": lambda: LoadOrgan.Request(folder="/nowhere"),
             "reset": Reset.Request,
             "register": _register,
@@ -76,6 +77,14 @@ def good_message(kind: str, scene: Scene, stamp: int = 10**18) -> list[Any]:
 def _register() -> Register.Request:
     # Landmarks that no organ has: it is not searched for, which takes seconds.
     return Register.Request(landmarks=["nowhere"] * 3, landmark_points=[0.0] * 9)
+
+
+def _tool() -> PoseStamped:
+    """A tool above the organ, that does not move: its stamp is zero."""
+    tool = PoseStamped()
+    tool.header.frame_id = "organ"
+    tool.pose.position.z, tool.pose.orientation.x = 0.08, 1.0
+    return tool
 
 
 def _camera_pose(stamp: int) -> TransformStamped:
@@ -214,6 +223,15 @@ def _pose(rng: random.Random, message: PoseWithCovarianceStamped) -> None:
         message.pose.covariance = covariance.ravel()
 
 
+def _distance(rng: random.Random, request: Distance.Request) -> None:
+    tool = request.tool
+    if rng.random() < 0.3:
+        _header(rng, tool.header)
+        return
+    part, axis = rng.choice((("position", "xyz"), ("orientation", "xyzw")))
+    setattr(getattr(tool.pose, part), rng.choice(axis), rng.choice((*FLOATS, 0.02, -0.04)))
+
+
 def _warp(rng: random.Random, request: WarpPoints.Request) -> None:
     if rng.random() < 0.3:
         _header(rng, request.header)
@@ -265,6 +283,7 @@ _CHANGES = {
     TransformStamped: _registration,
     PoseWithCovarianceStamped: _pose,
     WarpPoints.Request: _warp,
+    Distance.Request: _distance,
     LoadOrgan.Request: _load,
     Reset.Request: lambda _rng, _request: None,
     Register.Request: _start,

@@ -21,7 +21,8 @@ _KINDS = (
     ("cloud",) * 8
     + ("pair", "bare") * 4
     + ("normals",) * 2
-    + ("registration", "registration_with_covariance", "camera_pose", "warp_points", "parameters") * 2
+    + ("registration", "registration_with_covariance", "camera_pose", "warp_points", "distance", "parameters")
+    * 2
     + ("load_organ", "reset", "register", "decide_registration")
 )
 
