@@ -123,7 +123,9 @@ class NodeInside:
         self._subscriptions = {s.topic_name.rpartition("/")[2]: s for s in self._node.subscriptions}
         self._services = {s.service_name.rpartition("/")[2]: s for s in self._node.services}
         self._stamp = 5 * 10**17
-        self._left_waiting: set[int] = set()  # stamps of clouds that may be answered while another one is looked at
+        self._left_waiting: set[int] = (
+            set()
+        )  # stamps of clouds that may be answered while another one is looked at
         self._first = self._good_answer()
 
     def take(self, kind: str, messages: list[Any]) -> str:
