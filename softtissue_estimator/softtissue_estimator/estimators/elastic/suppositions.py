@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -84,6 +85,22 @@ def freed(solver: Solver, posterior: Posterior) -> tuple[Solver, Posterior]:
     suppositions = [Supposition(known, False), Supposition(known, True, LEAST_GAIN_OF_MOVING)]
     found = _with_likeliest(solver, posterior, suppositions)
     return solver.supposing(found.attachment_moves), found
+
+
+def likeliest_scale(solver: Solver, posterior: Posterior, scales: Sequence[float]) -> float:
+    """Return how far the registration may be off, over what a posterior supposes, as the evidence has it.
+
+    Parameters
+    ----------
+    solver : Solver
+    posterior : Posterior
+        With all loads.
+    scales : sequence of float
+        To choose from.
+    """
+    few = _leading(solver, posterior)
+    part, known, moves = posterior.with_loads(few), posterior.registration, posterior.attachment_moves
+    return max(scales, key=lambda scale: solver.afresh(part, known.scaled(scale), moves, few).log_evidence)
 
 
 def decided(evidence: list[float], least_gains: list[float]) -> int:

@@ -27,9 +27,9 @@ from softtissue_estimator.estimators.elastic.memory import (
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
-from softtissue_estimator.estimators.elastic.registration_scale import likeliest
 from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.estimators.elastic.solver import Solver
+from softtissue_estimator.estimators.elastic.suppositions import likeliest_scale
 
 _log = logging.getLogger(__name__)
 _LEAST_FRAMES = 3  # that are answered with a step at least: on a busy machine frames wait for it
@@ -230,14 +230,14 @@ class ElasticTracker:
 
     def _start(self, solver: Solver, known: Known) -> tuple[Posterior, WarmStart]:
         """Explain an observation about its rigid motion; what comes next follows this answer, which takes long."""
-        registration, scales = known.registration, [1.0]
-        if registration is not None and known.memory.state is None:
+        posterior = solver.start(solver.registration, _START_VARIANCE_UPDATES)
+        registration = known.registration
+        if registration is not None and known.memory.state is None and len(registration.scales) > 1:
             # Until the thread has made its first step one that is far off would pass for exact.
-            scales = [*registration.scales]
-        found = [solver.start(solver.registration.scaled(scale), _START_VARIANCE_UPDATES) for scale in scales]
-        posterior = likeliest(solver, found)
-        if registration is not None:
-            registration.suppose(scales[found.index(posterior)])
+            scale = likeliest_scale(solver, posterior, registration.scales)
+            if scale != 1.0:
+                registration.suppose(scale)
+                posterior = solver.start(registration.supposed, _START_VARIANCE_UPDATES)
         state = solver.warm_start(posterior)
         return replace(posterior, hidden_variance=state.hidden_variance), state
 
