@@ -8,9 +8,11 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+import re
 import socket
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 DOMAIN, RANGE = "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"
 # Domain 0 is everybody's; the ports of those above 100 are among those that Linux gives to any program (from 32768).
@@ -19,6 +21,9 @@ _NAME = "softtissue-ros-domain"
 _FIRST_PORT, _PORTS_A_DOMAIN = 7400, 250
 # Of the domain, and of the first eight programs in it.
 _LISTENING = (0, *range(10, 26))
+
+_SHARED_MEMORY = Path("/dev/shm")
+_PORT_FILE = re.compile(r"(?:sem\.)?fastdds_port(\d+)(?:_el|_mutex)?")
 
 _turn = itertools.count(7 * os.getpid())
 
@@ -59,6 +64,7 @@ def reserve() -> Reservation:
         with contextlib.suppress(OSError):
             name.bind(f"\0{_NAME}-{domain}")
             if not _in_use(domain):
+                _remove_leftovers(domain)
                 return Reservation(domain, name)
         name.close()
     raise RuntimeError(f"expected a free ROS domain from {DOMAINS[0]} to {DOMAINS[-1]}, got none")
@@ -88,6 +94,16 @@ def _in_use(domain: int) -> bool:
             except OSError:
                 return True
     return False
+
+
+def _remove_leftovers(domain: int) -> None:
+    """Remove the ports in shared memory that killed programs left in a domain: the next one there would open them."""
+    ports = range(_FIRST_PORT + _PORTS_A_DOMAIN * domain, _FIRST_PORT + _PORTS_A_DOMAIN * (domain + 1))
+    with contextlib.suppress(OSError):
+        for file in _SHARED_MEMORY.iterdir():
+            found = _PORT_FILE.fullmatch(file.name)
+            if found and int(found[1]) in ports:
+                file.unlink(missing_ok=True)
 
 
 def main(command: list[str]) -> None:

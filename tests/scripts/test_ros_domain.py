@@ -114,3 +114,24 @@ def test_command_that_is_not_there_is_named_in_a_sentence():
         1,
         "error: expected a command, got 'no_such_command': No such file or directory\n",
     )
+
+
+def test_what_killed_programs_left_in_a_domain_is_removed_before_it_is_reserved_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(ros_domain, "_SHARED_MEMORY", tmp_path)
+    monkeypatch.setattr(ros_domain, "_turn", iter(range(len(ros_domain.DOMAINS) * 2)))
+    kept = ["fastdds_port99999", "fastdds_0000bd5ecb358b00", "somebody_elses"]
+    reservation = ros_domain.reserve()
+    first = 7400 + 250 * reservation.domain
+    reservation.release()
+    left = [
+        f"fastdds_port{first + 11}",
+        f"fastdds_port{first + 11}_el",
+        f"sem.fastdds_port{first + 11}_mutex",
+    ]
+    for name in (*left, *kept):
+        (tmp_path / name).touch()
+    monkeypatch.setattr(ros_domain, "_turn", iter([ros_domain.DOMAINS.index(reservation.domain)] * 100))
+    again = ros_domain.reserve()
+    again.release()
+    assert again.domain == reservation.domain
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(kept)
