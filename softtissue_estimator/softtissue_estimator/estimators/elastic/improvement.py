@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from threading import Event
 
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
+from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
 from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest
 from softtissue_estimator.estimators.elastic.relevance import Variances
@@ -51,6 +52,8 @@ class Task:
     number : int
         Of steps since the organ was linear about a rigid motion.
     registration : RegistrationFilter
+    supposed : RegistrationError
+        What it knew when the observation was answered: frames go on with it meanwhile.
     stamp_s : float
         Of the observation.
     given_up : Event
@@ -64,6 +67,7 @@ class Task:
     ratio: int | None
     number: int
     registration: RegistrationFilter
+    supposed: RegistrationError
     stamp_s: float
     given_up: Event = field(default_factory=Event)
 
@@ -123,13 +127,12 @@ def improve(task: Task) -> tuple[Posterior, WarmStart]:
 
 def _start(task: Task) -> Posterior:
     """Explain an observation from its rigid motion on; how exact the registration is must be found out, too."""
-    scales = task.registration.scales
-    return likeliest(task.solver, [_explained(task, scale) for scale in scales])
+    return likeliest(task.solver, [_explained(task, scale) for scale in task.supposed.scales])
 
 
 def _explained(task: Task, scale: float) -> Posterior:
     task.go_on()
-    return explained(task.solver, task.registration.supposed, scale)
+    return explained(task.solver, task.supposed, scale)
 
 
 def _step(task: Task) -> Posterior:
@@ -151,5 +154,5 @@ def _improved(task: Task, ratio: int | None) -> Posterior:
         task.variances,
         guarded=True,
         ratio=ratio,
-        registration=task.registration.supposed,
+        registration=task.supposed,
     )

@@ -77,7 +77,7 @@ class RegistrationError:
 
     def scaled(self, factor: float) -> RegistrationError:
         """Return the same distribution with standard deviations multiplied by a factor."""
-        return replace(self, root=factor * self.root)
+        return replace(self, root=factor * self.root, scales=tuple(scale / factor for scale in self.scales))
 
     def widened(self, by: RegistrationError) -> RegistrationError:
         """Return the distribution of the sum of this error and one more, whose covariance is that of `by`."""

@@ -41,8 +41,7 @@ class RegistrationFilter:
     def __init__(self, expected: RegistrationError) -> None:
         self.expected = expected
         # Most are exact; the first frame tells whether this one is.
-        self._size = expected.scales[0]
-        self.supposed = expected.scaled(self._size)
+        self.supposed = expected.scaled(expected.scales[0])
         self._observed = False
         self._before: RegistrationError | None = None
 
@@ -56,16 +55,8 @@ class RegistrationFilter:
         """What is known of it before the next frame, or was before it moved."""
         return self._before or self.supposed
 
-    @property
-    def scales(self) -> tuple[float, ...]:
-        """Sizes of the error over what is supposed that the next frame has to choose from: one after the first."""
-        if self._observed:
-            return (1.0,)
-        return tuple(scale / self._size for scale in self.supposed.scales)
-
     def suppose(self, scale: float) -> None:
-        """Go on with one of `scales`, until a frame that is explained with all loads tells more."""
-        self._size *= scale
+        """Go on with another size of the error, until a frame that is explained with all loads tells more."""
         self.supposed = self.supposed.scaled(scale)
 
     def follow(self, posterior: Posterior) -> None:
@@ -94,7 +85,8 @@ class RegistrationFilter:
         right = share * precision @ posterior.amplitudes.nuisance.cpu().numpy()
         after = np.asarray(np.linalg.inv(np.eye(6) + told), dtype=np.float64)
         known = posterior.registration.conditioned(after @ right, after)
-        self.supposed = replace(known, root=_wandered(known.root, _WALK_OF_MOVED if self.moved else 1.0))
+        root = _wandered(known.root, _WALK_OF_MOVED if self.moved else 1.0)
+        self.supposed = replace(known, root=root, scales=(1.0,))
 
 
 def _wandered(root: FloatArray, times: float) -> FloatArray:

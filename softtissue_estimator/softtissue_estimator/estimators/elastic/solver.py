@@ -19,7 +19,7 @@ from softtissue_estimator.estimators.elastic.misfit import Misfit
 from softtissue_estimator.estimators.elastic.model import ElasticModel
 from softtissue_estimator.estimators.elastic.nodal_sigma import hidden_variance, nodal_sigma
 from softtissue_estimator.estimators.elastic.observed import Matchable, Observed
-from softtissue_estimator.estimators.elastic.own_motion import OwnMotion, beside_own_motion
+from softtissue_estimator.estimators.elastic.own_motion import beside_own_motion
 from softtissue_estimator.estimators.elastic.plausibility import plausible_fit
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart, warm_start
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
@@ -236,8 +236,7 @@ class Solver:
         registration : RegistrationError or None
             What to suppose of it; what `posterior` supposed, about the correction that it found, by default.
         """
-        if registration is None or isinstance(registration, OwnMotion):
-            # Where an organ that is attached nowhere is, the observation itself says.
+        if registration is None:
             registration = posterior.registration.moved_by(posterior.registration_step)
         ratio = posterior.ratio if ratio is None else ratio
         observed, residual = self._observation.anew(posterior, REACH_M)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -66,8 +66,10 @@ def revised(
     elif _held(solver, posterior):
         # The registration may have been thought to move for the same reason.
         suppositions.append(Supposition(registration.unmoved, True, LEAST_GAIN_OF_MOVING))
-    found = _with_likeliest(solver, posterior, suppositions)
-    return posterior if constant and found.registration is wider else found
+    shown = _likeliest(solver, posterior, suppositions)
+    if constant and shown.registration is wider:
+        return posterior
+    return _supposing(solver, posterior, shown)
 
 
 def freed(solver: Solver, posterior: Posterior) -> tuple[Solver, Posterior]:
@@ -83,24 +85,17 @@ def freed(solver: Solver, posterior: Posterior) -> tuple[Solver, Posterior]:
         return solver, posterior
     known = posterior.registration
     suppositions = [Supposition(known, False), Supposition(known, True, LEAST_GAIN_OF_MOVING)]
-    found = _with_likeliest(solver, posterior, suppositions)
-    return solver.supposing(found.attachment_moves), found
+    shown = _likeliest(solver, posterior, suppositions)
+    return solver.supposing(shown.attachment_moves), _supposing(solver, posterior, shown)
 
 
-def likeliest_scale(solver: Solver, posterior: Posterior, scales: Sequence[float]) -> float:
-    """Return how far the registration may be off, over what a posterior supposes, as the evidence has it.
-
-    Parameters
-    ----------
-    solver : Solver
-    posterior : Posterior
-        With all loads.
-    scales : sequence of float
-        To choose from.
-    """
-    few = _leading(solver, posterior)
-    part, known, moves = posterior.with_loads(few), posterior.registration, posterior.attachment_moves
-    return max(scales, key=lambda scale: solver.afresh(part, known.scaled(scale), moves, few).log_evidence)
+def likeliest_scale(solver: Solver, posterior: Posterior) -> float:
+    """Return how far the registration may be off, over what a posterior with all loads supposes, by the evidence."""
+    known, moves = posterior.registration, posterior.attachment_moves
+    if len(known.scales) == 1:
+        return known.scales[0]
+    suppositions = [Supposition(known.scaled(scale), moves) for scale in known.scales]
+    return known.scales[int(np.argmax(_evidence(solver, posterior, suppositions)))]
 
 
 def decided(evidence: list[float], least_gains: list[float]) -> int:
@@ -115,20 +110,29 @@ def decided(evidence: list[float], least_gains: list[float]) -> int:
     return best
 
 
-def _with_likeliest(solver: Solver, posterior: Posterior, suppositions: list[Supposition]) -> Posterior:
-    """Return the posterior with the supposition that the observation shows; the first is the posterior's own.
+def _likeliest(solver: Solver, posterior: Posterior, suppositions: list[Supposition]) -> Supposition:
+    """Return the supposition that the observation shows; the first is the posterior's own."""
+    evidence = _evidence(solver, posterior, suppositions)
+    return suppositions[decided(evidence, [each.least_gain for each in suppositions])]
+
+
+def _evidence(solver: Solver, posterior: Posterior, suppositions: list[Supposition]) -> list[float]:
+    """Return the log-evidence of the observation with each supposition.
 
     Loads that have become relevant meanwhile explain much of what else may be supposed: each begins without them. Some
     dozens of loads are enough to choose.
     """
     few = _leading(solver, posterior)
     part = posterior.with_loads(few)
-    evidence = [
+    return [
         solver.afresh(part, each.registration, each.attachment_moves, few).log_evidence
         for each in suppositions
     ]
-    shown = suppositions[decided(evidence, [each.least_gain for each in suppositions])]
-    if shown is suppositions[0]:
+
+
+def _supposing(solver: Solver, posterior: Posterior, shown: Supposition) -> Posterior:
+    """Return a posterior with what was shown: itself where it supposes that already."""
+    if shown.registration is posterior.registration and shown.attachment_moves == posterior.attachment_moves:
         return posterior
     return solver.afresh(posterior, shown.registration, shown.attachment_moves)
 

@@ -18,12 +18,7 @@ from softtissue_estimator.errors import OrganNotFoundError
 from softtissue_estimator.estimators.elastic.doubts import Troubles
 from softtissue_estimator.estimators.elastic.improvement import Task, improve
 from softtissue_estimator.estimators.elastic.innovations import Innovations
-from softtissue_estimator.estimators.elastic.memory import (
-    Known,
-    Memory,
-    followed_from,
-    reason_for_disbelief,
-)
+from softtissue_estimator.estimators.elastic.memory import Known, Memory, followed_from, reason_for_disbelief
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
@@ -224,6 +219,7 @@ class ElasticTracker:
                 memory.ratio,
                 memory.steps,
                 registration,
+                registration.supposed,
                 self._stamp_s,
             )
             self._pending, self._frames = (task, self._executor.submit(improve, task)), 0
@@ -232,9 +228,9 @@ class ElasticTracker:
         """Explain an observation about its rigid motion; what comes next follows this answer, which takes long."""
         posterior = solver.start(solver.registration, _START_VARIANCE_UPDATES)
         registration = known.registration
-        if registration is not None and known.memory.state is None and len(registration.scales) > 1:
+        if registration is not None and known.memory.state is None:
             # Until the thread has made its first step one that is far off would pass for exact.
-            scale = likeliest_scale(solver, posterior, registration.scales)
+            scale = likeliest_scale(solver, posterior)
             if scale != 1.0:
                 registration.suppose(scale)
                 posterior = solver.start(registration.supposed, _START_VARIANCE_UPDATES)
