@@ -13,28 +13,35 @@ try:
     import cv2
     import rclpy
     from geometry_msgs.msg import PoseWithCovarianceStamped
-    from rclpy.serialization import deserialize_message, serialize_message
     from rclpy.signals import SignalHandlerOptions
     from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
     from softtissue_msgs.msg import EstimatorStatus, Structures
 
-    from fuzz.message_damage import FLOATS, FRAMES, UNSIGNED, changed
+    from fuzz.message_damage import (
+        FLOATS,
+        FRAMES,
+        UNSIGNED,
+        changed,
+        changed_header,
+        deserialised,
+        serialised,
+    )
     from fuzz.node_inside import Kept
     from integration.harness import CAMERA_FROM_ORGAN, cloud_message, pose_message, stamp_message, write_organ
     from softtissue_estimator.organ.organ import load_organ
     from softtissue_estimator.ros.outputs.structures import structures_message
     from softtissue_estimator.ros.overlay.overlay_node import OverlayNode
+    from softtissue_estimator.support.sentences import one_sentence
 except ImportError as error:
     MISSING = str(error)
 else:
     MISSING = ""
 
-_BYTES_SHARE = 0.25
 _COLUMNS, _ROWS, _FOCAL = 160, 120, 150.0
 _STAMP = 10**18
-_KINDS = ("image", "jpeg", "png") * 3 + ("camera_info",) * 3 + (
-    "structures", "deformed_points", "deformed_surface", "registration", "status",
-)  # fmt: skip
+_IMAGES = ("image", "jpeg", "png")
+_SAID = ("structures", "camera_info", "status", "registration", "deformed_points", "deformed_surface")
+_KINDS = (*_IMAGES * 3, "camera_info", "camera_info", *_SAID)
 _ENCODINGS = (
     "rgb8", "bgr8", "rgba8", "bgra8", "mono8", "8UC1", "8UC3", "yuv422", "uyvy", "yuyv", "yuv422_yuy2", "mono16", "",
     "32FC1", "bayer_rggb8", "x" * 5000, "\x1b[2J",
@@ -71,19 +78,17 @@ class Images(Kind):
         message = self._good(kind)
         for _ in range(how_often(rng)):
             _change(rng, message)
-        content = serialize_message(message)
-        if rng.random() < _BYTES_SHARE:
-            content = content[:4] + damaged_bytes(rng, content[4:])
+        (content,) = serialised(rng, [message])
         return f"{kind}.cdr", content
 
     def run(self, name: str, content: bytes) -> str:
         kind = name.removesuffix(".cdr")
-        try:
-            message = deserialize_message(content, type(self._good(kind)))
-        except Exception:  # such bytes the middleware leaves, whose error is counted (`BoundedExecutor`)
+        messages = deserialised([content], [type(self._good(kind))])
+        if messages is None:
             return "no message"
-        faults, self._node.said = self._node.boundary.faults, []
-        outcome = self._give(kind, message)
+        faults = self._node.boundary.faults
+        self._node.forget()
+        outcome = self._give(kind, messages[0])
         for sentence in self._node.said:
             check_sentence(sentence)
         expect(not self._fatal, f"the overlay wants to end: {self._fatal}")
@@ -105,24 +110,16 @@ class Images(Kind):
     def _give(self, kind: str, message: Any) -> str:
         """Give a message to the overlay, and draw if it is no image itself; return in a word what became of it."""
         image = message
-        if kind not in ("image", "jpeg", "png"):
+        if kind in _SAID:
             self._subscriptions[kind].callback(message)
             image = self._good("image")
-        before = len(self._node.images)
         self._node.draw(image)
-        return "drawn" if len(self._node.images) > before else "refused"
+        return "drawn" if self._node.images else "refused"
 
     def _drawn_well(self) -> np.ndarray:
-        for kind in (
-            "structures",
-            "camera_info",
-            "status",
-            "registration",
-            "deformed_points",
-            "deformed_surface",
-        ):
+        for kind in _SAID:
             self._subscriptions[kind].callback(self._good(kind))
-        del self._node.images[:]
+        self._node.forget()
         self._node.draw(self._good("image"))
         expect(len(self._node.images) == 1, f"a good image is not drawn on: {self._node.said}")
         drawn = np.frombuffer(bytes(self._node.images[0].data), dtype=np.uint8)
@@ -174,7 +171,12 @@ if not MISSING:
         def __init__(self, on_crash: Any) -> None:
             self.said: list[str] = []
             super().__init__(on_crash)
-            self.boundary.warn = self.said.append
+            self.boundary.warn = lambda text: self.said.append(one_sentence(text))  # as it logs them
+
+        def forget(self) -> None:
+            """Forget what was said and shown."""
+            self.said.clear()
+            self.images.clear()
 
         def create_publisher(self, msg_type: Any, topic: str, *arguments: Any, **options: Any) -> Any:
             if not topic.startswith("~/image"):
@@ -219,7 +221,7 @@ def _image(rng: random.Random, image: Any) -> None:
     elif what == 3:
         image.is_bigendian = 1 - image.is_bigendian % 2
     else:
-        _header(rng, image.header)
+        changed_header(rng, image.header)
 
 
 def _file(rng: random.Random, image: Any) -> None:
@@ -227,7 +229,7 @@ def _file(rng: random.Random, image: Any) -> None:
     if what == 0:
         image.format = rng.choice(_ENCODINGS)
     elif what == 1:
-        _header(rng, image.header)
+        changed_header(rng, image.header)
     else:
         image.data = damaged_bytes(rng, bytes(image.data))
 
@@ -251,25 +253,27 @@ def _camera(rng: random.Random, info: Any) -> None:
         setattr(info, name, values)
 
 
+def _one_wrong(rng: random.Random, values: Any, lengths: tuple[int, ...]) -> list[int]:
+    """Return numbers with a wrong one among them, and perhaps some of them alone."""
+    wrong = list(values)
+    if wrong:
+        wrong[rng.randrange(len(wrong))] = rng.choice(UNSIGNED)
+    return wrong[: rng.choice((*lengths, len(wrong), len(wrong)))]
+
+
 def _structures(rng: random.Random, structures: Any) -> None:
     what = rng.randrange(5)
     if what == 0:
-        _header(rng, structures.header)
+        changed_header(rng, structures.header)
     elif what == 1:
         name = rng.choice(("names", "kinds", "colours"))
         setattr(structures, name, list(getattr(structures, name))[: rng.choice((0, 1, 2))])
     elif what == 2:
         name = rng.choice(("first_vertex", "first_face"))
-        values = list(getattr(structures, name))
-        if values:
-            values[rng.randrange(len(values))] = rng.choice(UNSIGNED)
-        setattr(structures, name, values[: rng.choice((0, 1, len(values), len(values)))])
+        setattr(structures, name, _one_wrong(rng, getattr(structures, name), (0, 1)))
     elif what == 3:
         name = rng.choice(("faces", "surface_faces"))
-        values = list(getattr(structures, name))
-        if values:
-            values[rng.randrange(len(values))] = rng.choice(UNSIGNED)
-        setattr(structures, name, values[: rng.choice((0, 1, 3, len(values), len(values)))])
+        setattr(structures, name, _one_wrong(rng, getattr(structures, name), (0, 1, 3)))
     elif structures.names:
         at = rng.randrange(len(structures.names))
         names = list(structures.names)
@@ -279,15 +283,6 @@ def _structures(rng: random.Random, structures: Any) -> None:
 
 def _status(rng: random.Random, status: Any) -> None:
     if rng.random() < 0.3:
-        _header(rng, status.header)
+        changed_header(rng, status.header)
     else:
         status.level, status.reason = rng.choice((0, 1, 2, 3, 255)), rng.choice(FRAMES)
-
-
-def _header(rng: random.Random, header: Any) -> None:
-    if rng.random() < 0.5:
-        header.stamp.sec = rng.choice((0, 1, -1, 2**31 - 1, -(2**31)))
-    elif rng.random() < 0.5:
-        header.stamp.nanosec = rng.choice((0, 1, 10**9 - 1, 10**9, 2**32 - 1))
-    else:
-        header.frame_id = rng.choice(FRAMES)

@@ -9,6 +9,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 from softtissue_msgs.msg import Correspondences
 from softtissue_msgs.srv import DecideRegistration, Distance, LoadOrgan, Register, Reset, WarpPoints
@@ -33,6 +34,7 @@ FLOATS = (
     float("inf"),
     float("-inf"),
 )
+_BYTES_SHARE = 0.25
 _MOST_NUMBERS = 300_000
 _NAMES = (
     "", "x", "y", "z", "id", "label", "organ_mask", "ref_x", "ref_y", "ref_z", "normal_x", "normal_y", "normal_z",
@@ -106,7 +108,25 @@ def changed(rng: random.Random, message: Any) -> None:
     _CHANGES[type(message)](rng, message)
 
 
-def _header(rng: random.Random, header: Any) -> None:
+def serialised(rng: random.Random, messages: list[Any]) -> list[bytes]:
+    """Serialise messages; some of the bytes of one of them may be damaged."""
+    parts = [serialize_message(message) for message in messages]
+    if rng.random() < _BYTES_SHARE:
+        at = rng.randrange(len(parts))
+        parts[at] = parts[at][:4] + damaged_bytes(rng, parts[at][4:])
+    return parts
+
+
+def deserialised(parts: list[bytes], types: list[Any]) -> list[Any] | None:
+    """Undo `serialised`; None where the middleware leaves such bytes, whose error is counted (`BoundedExecutor`)."""
+    try:
+        return [deserialize_message(data, type_of) for data, type_of in zip(parts, types, strict=True)]
+    except Exception:
+        return None
+
+
+def changed_header(rng: random.Random, header: Any) -> None:
+    """Change stamp or frame."""
     if rng.random() < 0.5:
         header.stamp = Time(
             sec=rng.choice((0, 1, -1, 200, 2**31 - 1, -(2**31))),
@@ -119,7 +139,7 @@ def _header(rng: random.Random, header: Any) -> None:
 def _cloud(rng: random.Random, cloud: PointCloud2) -> None:
     what = rng.randrange(8)
     if what == 0:
-        _header(rng, cloud.header)
+        changed_header(rng, cloud.header)
     elif what == 1:
         setattr(cloud, rng.choice(("width", "height", "point_step", "row_step")), _near(rng, cloud))
     elif what == 2:
@@ -171,7 +191,7 @@ def _fields(rng: random.Random, cloud: PointCloud2) -> None:
 def _pairs(rng: random.Random, pairs: Correspondences) -> None:
     what, entries = rng.randrange(5), len(pairs.reference) // 3
     if what == 0:
-        _header(rng, pairs.header)
+        changed_header(rng, pairs.header)
     elif what == 1:
         reference = list(pairs.reference)
         if reference:
@@ -200,7 +220,7 @@ def _as_float32(rng: random.Random) -> float:
 
 def _registration(rng: random.Random, message: TransformStamped) -> None:
     if rng.random() < 0.2:
-        _header(rng, message.header)
+        changed_header(rng, message.header)
     elif rng.random() < 0.3:
         message.child_frame_id = rng.choice(FRAMES)
     else:
@@ -210,7 +230,7 @@ def _registration(rng: random.Random, message: TransformStamped) -> None:
 
 def _pose(rng: random.Random, message: PoseWithCovarianceStamped) -> None:
     if rng.random() < 0.2:
-        _header(rng, message.header)
+        changed_header(rng, message.header)
     elif rng.random() < 0.3:
         part, axis = rng.choice((("position", "xyz"), ("orientation", "xyzw")))
         setattr(getattr(message.pose.pose, part), rng.choice(axis), rng.choice(FLOATS))
@@ -226,7 +246,7 @@ def _pose(rng: random.Random, message: PoseWithCovarianceStamped) -> None:
 def _distance(rng: random.Random, request: Distance.Request) -> None:
     tool = request.tool
     if rng.random() < 0.3:
-        _header(rng, tool.header)
+        changed_header(rng, tool.header)
         return
     part, axis = rng.choice((("position", "xyz"), ("orientation", "xyzw")))
     setattr(getattr(tool.pose, part), rng.choice(axis), rng.choice((*FLOATS, 0.02, -0.04)))
@@ -234,7 +254,7 @@ def _distance(rng: random.Random, request: Distance.Request) -> None:
 
 def _warp(rng: random.Random, request: WarpPoints.Request) -> None:
     if rng.random() < 0.3:
-        _header(rng, request.header)
+        changed_header(rng, request.header)
         return
     times = rng.choice((1, 1, 1, 100, 2000))
     points = list(request.points)

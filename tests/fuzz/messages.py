@@ -3,20 +3,16 @@
 import random
 from pathlib import Path
 
-from fuzz.damage import damaged_bytes
 from fuzz.kind import Kind, MissingError
 
 try:
-    from rclpy.serialization import deserialize_message, serialize_message
-
-    from fuzz.message_damage import damaged_message, good_message
+    from fuzz.message_damage import damaged_message, deserialised, good_message, serialised
     from fuzz.node_inside import NodeInside
 except ImportError as error:
     MISSING = str(error)
 else:
     MISSING = ""
 
-_BYTES_SHARE = 0.25
 _KINDS = (
     ("cloud",) * 8
     + ("pair", "bare") * 4
@@ -42,22 +38,13 @@ class Messages(Kind):
 
     def make(self, rng: random.Random) -> tuple[str, bytes]:
         kind = rng.choice(_KINDS)
-        parts = [serialize_message(message) for message in damaged_message(rng, kind, self._scene)]
-        if rng.random() < _BYTES_SHARE:
-            at = rng.randrange(len(parts))
-            parts[at] = parts[at][:4] + damaged_bytes(rng, parts[at][4:])
-        return f"{kind}.cdr", packed(parts)
+        return f"{kind}.cdr", packed(serialised(rng, damaged_message(rng, kind, self._scene)))
 
     def run(self, name: str, content: bytes) -> str:
         kind = name.removesuffix(".cdr")
         types = [type(message) for message in good_message(kind, self._scene)]
-        messages = []
-        for data, type_of in zip(unpacked(content), types, strict=True):
-            try:
-                messages.append(deserialize_message(data, type_of))
-            except Exception:  # such bytes the middleware leaves, whose error is counted (`BoundedExecutor`)
-                return "no message"
-        return self._node.take(kind, messages)
+        messages = deserialised(unpacked(content), types)
+        return "no message" if messages is None else self._node.take(kind, messages)
 
     def check_good(self) -> None:
         self._node.check_good()

@@ -1,7 +1,6 @@
 """How far a point and a ray are from a triangle surface, and how sure that is.
 
-libigl was measured to take three to ten times as long for one pose, and its ray tests were wrong for triangles of
-millimetres in metres.
+libigl takes several times as long for one pose, and its ray tests are wrong for triangles of millimetres in metres.
 """
 
 import math

@@ -149,11 +149,9 @@ def find_window(pixels: list[FloatArray], camera: Camera, edge: int) -> Window |
     everything = everything[np.isfinite(everything).all(axis=1)]
     if not len(everything):
         return None
+    ends = np.array([everything.min(axis=0), everything.max(axis=0)])
     # A camera may put things farther away than whole numbers reach.
-    size = np.array([camera.columns, camera.rows]) + (edge + 1.0)
-    first, last = (
-        np.clip(end, -edge - 1.0, size) for end in (everything.min(axis=0), everything.max(axis=0))
-    )
+    first, last = ends.clip(-edge - 1, [camera.columns + edge, camera.rows + edge])
     left, top = np.maximum(np.floor(first).astype(int) - edge, 0).tolist()
     right, bottom = np.ceil(last).astype(int) + edge
     columns, rows = min(int(right) + 1, camera.columns) - left, min(int(bottom) + 1, camera.rows) - top

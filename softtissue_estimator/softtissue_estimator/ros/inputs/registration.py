@@ -204,7 +204,7 @@ class Registration:
         unknown = newest is None or newest.organ_frame != organ_frame
         raise (OrganNotFoundError if unknown else InvalidInputError)(
             f"cloud: expected frame {organ_frame!r} or a registration of {organ_frame!r} in the cloud's frame,"
-            f" got a cloud in frame {cloud_frame!r} and {have}{_hint(cloud_frame, organ_frame, newest, seen.found)}"
+            f" got frame {cloud_frame!r} and {have}{_hint(cloud_frame, organ_frame, newest, seen.found)}"
         )
 
     def awaits(self, cloud_frame: str, organ_frame: str, stamp_ns: int) -> bool:

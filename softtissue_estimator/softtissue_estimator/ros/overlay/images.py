@@ -103,13 +103,14 @@ def read_compressed_image(message: CompressedImage) -> Picture:
     """
     check_stamp(message.header.stamp, "image")
     data = np.frombuffer(message.data, dtype=np.uint8)
-    if not any(data[: len(start)].tobytes() == start for start in _FILES):
+    kind = next((name for start, name in _FILES.items() if data[: len(start)].tobytes() == start), None)
+    if kind is None:
         raise InvalidInputError(
             f"image: expected a file of {' or '.join(_FILES.values())}, got {len(data)} bytes of something else"
             f" (format {one_sentence(message.format, 40)!r})"
         )
     pixels = None
-    if _has_whole_chunks(data.tobytes()):
+    if kind != "PNG" or _has_whole_chunks(data.tobytes()):
         try:
             pixels = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
         except cv2.error:  # of a size beyond what is taken, say
@@ -125,8 +126,6 @@ def read_compressed_image(message: CompressedImage) -> Picture:
 def _has_whole_chunks(data: bytes) -> bool:
     """Say whether a PNG file holds its chunks: OpenCV takes memory for what they say, however long the file is."""
     at = _PNG_START
-    if _FILES.get(data[:at]) != "PNG":
-        return True
     while at < len(data):
         length = int.from_bytes(data[at : at + 4], "big")
         if at + _CHUNK_FRAME + length > len(data):
