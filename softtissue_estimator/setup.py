@@ -9,7 +9,7 @@ from setuptools import find_packages, setup
 
 NAME = "softtissue_estimator"
 # Folders whose files go to share/softtissue_estimator/ as they are.
-SHARED = ("bags", "config", "launch", "organs", "rviz", "weights")
+SHARED = ("bags", "config", "foxglove", "launch", "organs", "rviz", "weights")
 # `ros2 run softtissue_estimator ...` looks these up in lib/softtissue_estimator/, where setup.cfg has colcon put them.
 ROS_COMMANDS = {
     "node": "ros.node",
