@@ -61,7 +61,9 @@ def along_surface(columns: Tensor, ray: Tensor, normals: Tensor) -> Tensor:
     """
     axes = torch.eye(3, dtype=ray.dtype, device=ray.device)
     first = torch.linalg.cross(ray, axes[int(ray.abs().argmin())])
-    first = first / first.norm()
+    first = first / first.norm().clamp_min(
+        _LEAST_OPPOSED
+    )  # of an organ seen from all sides evenly it is zero
     pair = (_carried(one, ray, normals) for one in (first, torch.linalg.cross(ray, first)))
     return torch.cat([one[:, :, None] * columns[:, None, :] for one in pair], dim=2)
 

@@ -80,6 +80,12 @@ def test_slides_of_neighbours_are_alike():
     assert np.linalg.norm(found[0]) > 1.0
 
 
+def test_an_organ_that_is_seen_from_all_sides_evenly_has_no_slide():
+    normals = torch.eye(3, dtype=torch.float64)
+    columns, nowhere = torch.ones((3, 1), dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
+    assert not along_surface(columns, nowhere, normals).any()
+
+
 def test_large_errors_are_less_likely_beforehand():
     most = torch.tensor([4e-6, 1e-6], dtype=torch.float64)
     assert log_prior(torch.zeros(2, dtype=torch.float64), most) == 0.0
