@@ -1,4 +1,4 @@
-"""Start the estimator, and the overlay and RViz if asked, on a full ROS 2 installation.
+"""Start the estimator, and the overlay, the viewer and RViz if asked, on a full ROS 2 installation.
 
 ros2 launch softtissue_estimator softtissue.launch.py organ:=/data/my_liver points:=/tracker/points rviz:=true
 """
@@ -98,28 +98,39 @@ def rviz_configuration(given: dict[str, str]) -> Path:
 
 def overlay(given: dict[str, str]) -> Node:
     """Describe the overlay, which draws the answers of the node on a camera's images."""
+    topics = {topic: given[name] for name, (topic, _) in IMAGES.items()}
+    topics["image/compressed"] = f"{given['image']}/compressed"
+    topics |= {topic: given[name] for name, (topic, _) in TOPICS.items() if name != "points"}
+    return display("overlay", given, topics)
+
+
+def viewer(given: dict[str, str]) -> Node:
+    """Describe the viewer, which shows the answers of the node and the points that were observed on a live page."""
+    return display("viewer", given, {"surface_points": given["points"]})
+
+
+def display(executable: str, given: dict[str, str], topics: dict[str, str]) -> Node:
+    """Describe a process that shows what the node says; `topics` are the names that it hears under other ones."""
     chosen: dict[str, Any] = {"estimator_node": given["name"]}
     if given["use_sim_time"]:
         chosen["use_sim_time"] = truth("use_sim_time", given["use_sim_time"])
-    topics = {topic: given[name] for name, (topic, _) in IMAGES.items()}
-    topics["image/compressed"] = f"{given['image']}/compressed"
     return Node(
         package=PACKAGE,
-        executable="overlay",
+        executable=executable,
         namespace=given["namespace"],
         output="screen",
         respawn=truth("respawn", given["respawn"]),
-        parameters=[given["overlay_params"], chosen],
-        remappings=[*topics.items(), *((t, given[n]) for n, (t, _) in TOPICS.items() if n != "points")],
+        parameters=[given[f"{executable}_params"], chosen],
+        remappings=[*topics.items()],
     )
 
 
 def processes(context: LaunchContext) -> list[Node]:
     """Describe the processes from the arguments as given; whatever is wrong is said before one of them starts."""
     names = (*PARAMETERS, *TOPICS, *IMAGES, "params", "namespace", "name", "log_level", "respawn", "rviz")
-    names = (*names, "overlay", "overlay_params")
+    names = (*names, "overlay", "overlay_params", "viewer", "viewer_params")
     given = {name: LaunchConfiguration(name).perform(context) for name in names}
-    for name in ("params", "overlay_params"):
+    for name in ("params", "overlay_params", "viewer_params"):
         if not Path(given[name]).is_file():
             raise InvalidInputError(
                 f"argument {name}: expected a file of parameters, found none at {given[name]}"
@@ -139,6 +150,8 @@ def processes(context: LaunchContext) -> list[Node]:
     ]
     if truth("overlay", given["overlay"]):
         described.append(overlay(given))
+    if truth("viewer", given["viewer"]):
+        described.append(viewer(given))
     if truth("rviz", given["rviz"]):
         try:
             get_package_prefix("rviz2")
@@ -171,6 +184,11 @@ def generate_launch_description() -> LaunchDescription:
         "overlay_params": (
             str(share() / "config" / "softtissue_overlay.yaml"),
             "YAML file of the overlay's parameters",
+        ),
+        "viewer": ("false", "start the viewer too: a live page at http://127.0.0.1:8080"),
+        "viewer_params": (
+            str(share() / "config" / "softtissue_viewer.yaml"),
+            "YAML file of the viewer's parameters",
         ),
     }
     actions += [

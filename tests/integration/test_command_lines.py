@@ -43,11 +43,12 @@ def test_node_refuses_what_it_does_not_know(environment, arguments, hint):
     assert "expected" in line and line.endswith(hint)
 
 
-def overlay_without_opencv(environment, *arguments):
+def without(missing, name, environment, *arguments):
+    """Run an executable where a library is not installed."""
     program = (
         "import sys\n"
-        "sys.modules['cv2'] = None\n"
-        "from softtissue_estimator.ros.overlay.main import main\n"
+        f"sys.modules['{missing}'] = None\n"
+        f"from softtissue_estimator.ros.{name}.main import main\n"
         "main()\n"
     )
     command = [sys.executable, "-c", program, *arguments]
@@ -55,16 +56,16 @@ def overlay_without_opencv(environment, *arguments):
 
 
 def test_overlay_shows_its_help_and_refuses_arguments_before_it_needs_opencv(environment):
-    ended = overlay_without_opencv(environment, "--help")
+    ended = without("cv2", "overlay", environment, "--help")
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "--ros-args" in ended.stdout and "margin_mm" in ended.stdout
-    ended = overlay_without_opencv(environment, "-p", "margin_mm:=5.0")
+    ended = without("cv2", "overlay", environment, "-p", "margin_mm:=5.0")
     assert ended.returncode == 2
     assert ended.stderr.splitlines()[-1].endswith("did you mean --ros-args -p margin_mm:=5.0?")
 
 
 def test_overlay_without_opencv_says_what_to_install(environment):
-    ended = overlay_without_opencv(environment)
+    ended = without("cv2", "overlay", environment)
     assert ended.returncode == 2
     (line,) = (line for line in ended.stderr.splitlines() if "[INFO]" not in line)
     assert line.startswith("error: overlay: expected OpenCV and Numba, got no cv2; pip install")
@@ -75,6 +76,32 @@ def test_overlay_refuses_a_parameter_that_it_does_not_know(environment):
     assert ended.returncode == 2
     (line,) = (line for line in ended.stderr.splitlines() if "[INFO]" not in line)
     assert "expected" in line and line.endswith("did you mean margin_mm?")
+
+
+def test_viewer_shows_its_help_and_says_what_to_install_where_viser_is_not_there(environment):
+    ended = without("viser", "viewer", environment, "--help")
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "maximum_age_s" in ended.stdout
+    ended = without("viser", "viewer", environment)
+    assert ended.returncode == 2
+    (line,) = (line for line in ended.stderr.splitlines() if "[INFO]" not in line)
+    assert line.startswith("error: viewer: expected viser, got no viser; pip install viser 'rich<15'")
+
+
+@pytest.mark.parametrize(
+    ("parameter", "words"),
+    [
+        ("prot:=8081", "did you mean port?"),
+        ("port:=99999", "parameter port"),
+        ("host:=no.such.host.invalid", "host: expected an address of this machine, got no.such.host.invalid"),
+    ],
+)
+def test_viewer_refuses_what_it_cannot_use(environment, parameter, words):
+    pytest.importorskip("viser", reason="the packages of requirements-viewer.txt are not installed")
+    ended = run(environment, "viewer", "--ros-args", "-p", parameter)
+    assert ended.returncode == 2
+    (line,) = (line for line in ended.stderr.splitlines() if "[INFO]" not in line)
+    assert words in line
 
 
 def test_replay_without_a_node_ends_with_a_sentence(environment):

@@ -14,7 +14,7 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 from integration.harness import Client, NodeProcess, PlainClient, executable, write_organ
 from integration.sros2_policy import ACTS, ENCLAVES, allowed, policy
 
-NODE, OVERLAY = "softtissue_estimator", "softtissue_overlay"
+NODE, OVERLAY, VIEWER = "softtissue_estimator", "softtissue_overlay", "softtissue_viewer"
 ROLES = [enclave for enclave in ENCLAVES if enclave != "node"]
 # Of the node's own expressions: what a full installation has on top.
 ONLY_WITH_TF2 = {"/tf", "/tf_static"}
@@ -73,6 +73,25 @@ def test_overlay_may_do_what_it_does_and_nothing_else(tmp_path, domain):
     assert may == opened | {"request": set()}
 
 
+@pytest.mark.parametrize("buttons", [True, False])
+def test_viewer_may_do_what_it_does_and_nothing_else(tmp_path, domain, buttons):
+    pytest.importorskip("viser", reason="the packages of requirements-viewer.txt are not installed")
+    program, parameters = [executable("viewer")], {"port": 0, "buttons": buttons}
+    with NodeProcess(domain, tmp_path, parameters, program) as viewer, PlainClient(domain) as client:
+        viewer.wait_for_text("serving http")
+        client.wait(lambda: VIEWER in client.node.get_node_names(), "viewer")
+        client.spin(0.5)
+        graph = client.node
+        opened = {
+            "publish": names(graph.get_publisher_names_and_types_by_node(VIEWER, "/")),
+            "subscribe": names(graph.get_subscriber_names_and_types_by_node(VIEWER, "/")),
+            "reply": names(graph.get_service_names_and_types_by_node(VIEWER, "/")),
+            "request": names(graph.get_client_names_and_types_by_node(VIEWER, "/")),
+        }
+    may = allowed("viewer")
+    assert opened == may | ({} if buttons else {"request": set()})
+
+
 def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
     node, roles = allowed("node"), {role: allowed(role) for role in ROLES}
 
@@ -90,12 +109,15 @@ def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
     for service in about_points:
         assert who("request", service) == {"display"}
     for topic in ("deformed_points", "deformed_surface", "registration"):
-        assert who("subscribe", f"/{NODE}/{topic}") == {"display", "overlay"}
+        assert who("subscribe", f"/{NODE}/{topic}") == {"display", "overlay", "viewer"}
+    # The viewer has buttons for those, and for no others.
+    buttons = {f"/{NODE}/{name}" for name in ("register", "reset", "load_organ")}
+    assert roles["viewer"]["request"] == buttons
     about_registration = {f"/{NODE}/{name}" for name in ("register", "decide_registration")}
     for service in about_registration:
-        assert who("request", service) == {"registration"}
+        assert who("request", service) - {"viewer"} == {"registration"}
     for service in node["reply"] - about_points - about_registration:
-        assert who("request", service) == {"operator"}, service
+        assert who("request", service) - {"viewer"} == {"operator"}, service
     for topic in node["publish"]:
         assert who("subscribe", topic) - {"tracker", "registration"}, topic
         if topic.startswith(f"/{NODE}/") or topic == "/diagnostics":
