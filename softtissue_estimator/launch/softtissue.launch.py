@@ -43,8 +43,11 @@ TOPICS = {
 }
 # Of the overlay, and the topics of the camera that they rename.
 IMAGES = {
-    "image": ("image", "with overlay: the camera's images; compressed ones are on IMAGE/compressed"),
-    "camera_info": ("camera_info", "with overlay: how the camera maps"),
+    "image": (
+        "image",
+        "for overlay and viewer: the camera's images; compressed ones are on IMAGE/compressed",
+    ),
+    "camera_info": ("camera_info", "for overlay and viewer: how the camera maps"),
 }
 TRUE, FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
@@ -98,9 +101,7 @@ def rviz_configuration(given: dict[str, str]) -> Path:
 
 def overlay(given: dict[str, str]) -> Node:
     """Describe the overlay, which draws the answers of the node on a camera's images."""
-    topics = {topic: given[name] for name, (topic, _) in IMAGES.items()}
-    topics["image/compressed"] = f"{given['image']}/compressed"
-    topics |= {topic: given[name] for name, (topic, _) in TOPICS.items() if name != "points"}
+    topics = {topic: given[name] for name, (topic, _) in TOPICS.items() if name != "points"}
     return display("overlay", given, topics)
 
 
@@ -110,7 +111,9 @@ def viewer(given: dict[str, str]) -> Node:
 
 
 def display(executable: str, given: dict[str, str], topics: dict[str, str]) -> Node:
-    """Describe a process that shows what the node says; `topics` are the names that it hears under other ones."""
+    """Describe a process that shows what the node says; `topics` are those of its own that have other names."""
+    topics = topics | {topic: given[name] for name, (topic, _) in IMAGES.items()}
+    topics["image/compressed"] = f"{given['image']}/compressed"
     chosen: dict[str, Any] = {"estimator_node": given["name"]}
     if given["use_sim_time"]:
         chosen["use_sim_time"] = truth("use_sim_time", given["use_sim_time"])

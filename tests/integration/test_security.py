@@ -73,10 +73,20 @@ def test_overlay_may_do_what_it_does_and_nothing_else(tmp_path, domain):
     assert may == opened | {"request": set()}
 
 
-@pytest.mark.parametrize("buttons", [True, False])
-def test_viewer_may_do_what_it_does_and_nothing_else(tmp_path, domain, buttons):
+IMAGE_TOPICS = {"/image", "/image/compressed", "/camera_info"}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "not_opened"),
+    [
+        ({"image_transport": "raw"}, {"subscribe": {"/image/compressed"}}),
+        ({"image_transport": "compressed"}, {"subscribe": {"/image"}}),
+        ({"buttons": False}, {"subscribe": IMAGE_TOPICS, "request": allowed("viewer")["request"]}),
+    ],
+)
+def test_viewer_may_do_what_it_does_and_nothing_else(tmp_path, domain, parameters, not_opened):
     pytest.importorskip("viser", reason="the packages of requirements-viewer.txt are not installed")
-    program, parameters = [executable("viewer")], {"port": 0, "buttons": buttons}
+    program, parameters = [executable("viewer")], {"port": 0} | parameters
     with NodeProcess(domain, tmp_path, parameters, program) as viewer, PlainClient(domain) as client:
         viewer.wait_for_text("serving http")
         client.wait(lambda: VIEWER in client.node.get_node_names(), "viewer")
@@ -89,7 +99,7 @@ def test_viewer_may_do_what_it_does_and_nothing_else(tmp_path, domain, buttons):
             "request": names(graph.get_client_names_and_types_by_node(VIEWER, "/")),
         }
     may = allowed("viewer")
-    assert opened == may | ({} if buttons else {"request": set()})
+    assert opened == {act: names - not_opened.get(act, set()) for act, names in may.items()}
 
 
 def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():

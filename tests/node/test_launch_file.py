@@ -115,12 +115,18 @@ def test_overlay_draws_the_answers_of_the_node_on_the_cameras_images(launch_file
 
 def test_viewer_shows_the_answers_of_the_node_and_the_points_that_it_hears(launch_file):
     given = {"viewer": "true", "name": "liver", "namespace": "room_1", "points": "/tracker/points"}
+    given["image"] = "/scope/left"
     _, viewer = launch_file.processes(defaults(launch_file) | given)
     assert (viewer.keywords["executable"], viewer.keywords["namespace"]) == ("viewer", "room_1")
     file, chosen = viewer.keywords["parameters"]
     assert Path(file).name == "softtissue_viewer.yaml" and Path(file).is_file()
     assert chosen == {"estimator_node": "liver"}
-    assert dict(viewer.keywords["remappings"]) == {"surface_points": "/tracker/points"}
+    assert dict(viewer.keywords["remappings"]) == {
+        "surface_points": "/tracker/points",
+        "image": "/scope/left",
+        "image/compressed": "/scope/left/compressed",
+        "camera_info": "camera_info",
+    }
 
 
 @pytest.mark.parametrize(

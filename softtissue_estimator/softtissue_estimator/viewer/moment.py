@@ -84,6 +84,39 @@ class ToolDistances:
     nearest: FloatArray
 
 
+@dataclass(frozen=True)
+class Lens:
+    """How much a camera sees.
+
+    Attributes
+    ----------
+    height_rad : float
+        Angle from the upper to the lower edge of its image.
+    aspect : float
+        Width of the image over its height.
+    """
+
+    height_rad: float = 1.0
+    aspect: float = 4.0 / 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class CameraImage:
+    """An image of a camera, made small.
+
+    Attributes
+    ----------
+    frame : str
+    pixels : (rows, columns, 3) uint8
+        Red, green and blue.
+    lens : Lens
+    """
+
+    frame: str
+    pixels: NDArray[np.uint8]
+    lens: Lens
+
+
 @dataclass(frozen=True, eq=False)
 class Moment:
     """An answer and what belongs to it, organ's frame, m.
@@ -104,6 +137,8 @@ class Moment:
     left_out : (m,) bool
     camera : (4, 4) float64 or None
         Pose of the clouds' frame; None where clouds come in the organ's frame or no pose was told.
+    camera_frame : str
+        Name of that frame.
     level, reason : str
         What the status said.
     """
@@ -116,6 +151,7 @@ class Moment:
     observed: Singles
     left_out: NDArray[np.bool_]
     camera: FloatArray | None
+    camera_frame: str = ""
     level: Level = "OK"
     reason: str = ""
 

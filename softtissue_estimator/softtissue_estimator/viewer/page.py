@@ -69,7 +69,7 @@ class Page:
             self._scene.hide()
         else:
             look = self._look(structures, moment, choices)
-            self._scene.show(structures, moment, look)
+            self._scene.show(structures, moment, look, view.image if past_s is None else None)
         banner = panel_text.banner(level, reason, past_s)
         if banner != self._said or now_s - self._said_s >= _TEXT_PERIOD_S:
             self._said, self._said_s = banner, now_s

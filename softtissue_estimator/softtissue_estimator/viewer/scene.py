@@ -10,11 +10,10 @@ from scipy.spatial.transform import Rotation
 from softtissue_estimator.view.structures import FloatArray, Numbers, Structures
 from softtissue_estimator.viewer.clipping import NOTHING_CUT, Clip, bounding_box, kept_faces
 from softtissue_estimator.viewer.colours import LEFT_OUT, OBSERVED, ORGAN, Rgb
-from softtissue_estimator.viewer.moment import Moment
+from softtissue_estimator.viewer.moment import CameraImage, Lens, Moment
 
 _POINT_M = 0.0007
 _FRUSTUM_M = 0.02
-_CLOUDS_VIEW_RAD = 1.0  # what a camera sees of which nothing is known but its pose
 _PAGES_VIEW_RAD = 0.7
 # Where the page looks from at first, in radii of the organ: from the front (-y), a little from above and the right.
 _FROM = np.array([0.7, -2.6, 0.7])
@@ -67,10 +66,11 @@ class Scene:
         axes = {"axes_length": 0.02, "axes_radius": 0.0005, "origin_radius": 0.001, "visible": False}
         self._frame = self._nodes.add_frame("/organ_frame", **axes)
         self._camera = self._nodes.add_frame("/cloud_frame", **axes)
-        self._nodes.add_camera_frustum(
-            "/cloud_frame/frustum",
-            _CLOUDS_VIEW_RAD,
-            4.0 / 3.0,
+        self._image: CameraImage | None = None
+        self._pyramid = self._nodes.add_camera_frustum(
+            "/cloud_frame/pyramid",
+            Lens().height_rad,
+            Lens().aspect,
             scale=_FRUSTUM_M,
             thickness=0.0006,
             color=(120, 160, 230),
@@ -78,8 +78,10 @@ class Scene:
             receive_shadow=False,
         )
 
-    def show(self, structures: Structures, moment: Moment, look: Look) -> None:
-        """Draw a moment."""
+    def show(
+        self, structures: Structures, moment: Moment, look: Look, image: CameraImage | None = None
+    ) -> None:
+        """Draw a moment, with an image in the camera's pyramid."""
         with self._server.atomic():
             if structures is not self._structures:
                 self._begin(structures, moment)
@@ -97,6 +99,8 @@ class Scene:
                 self._observed.visible = look.observed and len(moment.observed) > 0
             self._camera.visible = look.frames and moment.camera is not None
             self._frame.visible = look.frames
+            if image is not self._image:
+                self._show_image(image)
             self._moment = moment
 
     def hide(self) -> None:
@@ -164,6 +168,12 @@ class Scene:
             point_shading="flat",
             precision="float32",
         )
+
+    def _show_image(self, image: CameraImage | None) -> None:
+        self._image = image
+        self._pyramid.image = None if image is None else image.pixels
+        if image is not None:
+            self._pyramid.fov, self._pyramid.aspect = image.lens.height_rad, image.lens.aspect
 
     def _cut(self, structures: Structures, clip: Clip) -> None:
         """Cut the organ, and the structures if asked, as they are now."""

@@ -18,6 +18,12 @@ class ViewerSettings:
     estimator_node: str = setting(
         "softtissue_estimator", "Name of the node whose answers are shown. Can only be given at the start."
     )
+    image_transport: str = setting(
+        "none",
+        "Which images are shown at the camera: 'raw' from `image`, 'compressed' from `image/compressed`; 'none': none. "
+        "They need the extra `overlay`. Can only be given at the start.",
+        choices=("none", "raw", "compressed"),
+    )
     host: str = setting(
         "127.0.0.1",
         "Address on which the page is served; whoever reaches it may press the buttons. Can only be given at the "

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.view.structures import FloatArray, Structures
-from softtissue_estimator.viewer.moment import Health, Level, Moment, Observed, ToolDistances
+from softtissue_estimator.viewer.moment import CameraImage, Health, Level, Moment, Observed, ToolDistances
 
 ItemT = TypeVar("ItemT")
 
@@ -35,6 +35,8 @@ class View:
     health : Health or None
         The newest status; None where the last one is old.
     distances : ToolDistances or None
+    image : CameraImage or None
+        Newest image of the camera whose pose the moment has.
     """
 
     level: Level
@@ -43,6 +45,7 @@ class View:
     moment: Moment | None = None
     health: Health | None = None
     distances: ToolDistances | None = None
+    image: CameraImage | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +68,7 @@ class State:
         self._clouds: OrderedDict[int, Observed] = OrderedDict()
         self._health: tuple[float, Health] | None = None
         self._distances: tuple[float, ToolDistances] | None = None
+        self._image: tuple[float, CameraImage] | None = None
         self._moment: Moment | None = None
 
     @property
@@ -111,6 +115,11 @@ class State:
         with self._lock:
             self._distances = now_s, distances
 
+    def take_image(self, image: CameraImage, now_s: float) -> None:
+        """Take an image of a camera."""
+        with self._lock:
+            self._image = now_s, image
+
     def view(self, now_s: float, maximum_age_s: float) -> View:
         """Return what may be shown: nothing from an answer that arrived longer ago than `maximum_age_s`."""
         with self._lock:
@@ -123,11 +132,17 @@ class State:
                 distances = self._distances[1]
             reason = self._refusal(now_s, maximum_age_s)
             moment = None if reason else self._newest()
+            image = None if moment is None else self._image_of(moment.camera_frame, now_s, maximum_age_s)
         if last is not None and last.level == "INVALID":
             return View("INVALID", last.reason, structures, None, health, distances)
         if moment is None:
             return View("NO ESTIMATE", reason, structures, None, health, distances)
-        return View(moment.level, moment.reason, structures, moment, health, distances)
+        return View(moment.level, moment.reason, structures, moment, health, distances, image)
+
+    def _image_of(self, frame: str, now_s: float, maximum_age_s: float) -> CameraImage | None:
+        if self._image is None or now_s - self._image[0] > maximum_age_s:
+            return None
+        return self._image[1] if self._image[1].frame == frame else None
 
     def _refusal(self, now_s: float, maximum_age_s: float) -> str:
         """Say why nothing may be shown; empty if something may."""
@@ -189,6 +204,7 @@ class State:
             empty if observed is None else observed.points,
             np.zeros(0, bool) if observed is None else observed.left_out,
             motion,
+            "" if motion is None else self._poses[stamp][0],
         )
 
     def _fits(self, surface: FloatArray) -> bool:

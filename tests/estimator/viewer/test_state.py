@@ -1,10 +1,12 @@
 """What of the node's answers may be shown, and when nothing may."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from estimator.viewer.moments import POINTS, SIGMA, SURFACE, S, organ
-from softtissue_estimator.viewer.moment import Health, Observed, ToolDistances
+from softtissue_estimator.viewer.moment import CameraImage, Health, Lens, Observed, ToolDistances
 from softtissue_estimator.viewer.state import KEPT, STATUS_S, State, largest_sigma
 
 TURN = np.array([[0.0, -1.0, 0.0, 0.1], [1.0, 0.0, 0.0, 0.2], [0.0, 0.0, 1.0, 0.3], [0.0, 0.0, 0.0, 1.0]])
@@ -166,3 +168,15 @@ def test_only_so_much_is_kept(state):
 
 def test_largest_sigma_of_an_organ_without_structures_is_empty():
     assert largest_sigma(np.zeros(0), np.array([0])).tolist() == []
+
+
+def test_image_is_shown_where_the_pose_of_its_frame_is_known(state):
+    image = CameraImage("eye", np.zeros((3, 4, 3), np.uint8), Lens())
+    state.take_pose(10 * S, "eye", TURN)
+    answer(state)
+    state.take_image(image, 100.0)
+    assert state.view(100.5, 1.0).image is image
+    state.take_image(replace(image, frame="other_eye"), 100.5)
+    assert state.view(100.5, 1.0).image is None
+    state.take_image(image, 99.0)
+    assert state.view(100.5, 1.0).image is None  # an old one

@@ -30,6 +30,7 @@ def viewing(port: int | None) -> Iterator[None]:
     with tempfile.TemporaryDirectory(prefix="softtissue_viewer_") as folder:
         log = Path(folder) / "viewer.log"
         command = [str(executable("viewer")), "--ros-args", "-p", f"port:={port}"]
+        command += ["-p", "image_transport:=compressed"]
         with relayed_process(command, log, "viewer") as viewer:
             _wait_until_served(viewer, log)
             yield

@@ -23,12 +23,24 @@ from softtissue_estimator.ros.viewer.calls import Calls
 from softtissue_estimator.ros.viewer.messages import read_distances, read_health, read_observed
 from softtissue_estimator.ros.viewer.program import PROGRAM
 from softtissue_estimator.support.latest_worker import LatestWorker
+from softtissue_estimator.viewer.moment import CameraImage
 from softtissue_estimator.viewer.page import Page
 from softtissue_estimator.viewer.settings import ViewerSettings
 from softtissue_estimator.viewer.state import KEPT, State
 
 NAME = "softtissue_viewer"
-FIXED = frozenset({"estimator_node", "host", "port", "buttons", "rate_hz", "recording_s", "recording_mb"})
+FIXED = frozenset(
+    {
+        "estimator_node",
+        "image_transport",
+        "host",
+        "port",
+        "buttons",
+        "rate_hz",
+        "recording_s",
+        "recording_mb",
+    }
+)
 # Of clouds and answers alike only the newest counts.
 CLOUD_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 ANSWER_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
@@ -76,6 +88,11 @@ class ViewerNode(BoundedPlainNode):
         if self._calls is not None:
             self.create_timer(_ASK_PERIOD_S, self._calls.work, clock=steady)
         self._subscribe(settings.estimator_node)
+        if settings.image_transport != "none":
+            # Only then, for it needs OpenCV.
+            from softtissue_estimator.ros.viewer.pictures import Pictures
+
+            self._pictures = Pictures(settings.image_transport, self._take_image, self._listen, CLOUD_QOS)
         self.boundary.info(f"serving {self._page.address}")
 
     def close(self, timeout_s: float) -> bool:
@@ -127,6 +144,9 @@ class ViewerNode(BoundedPlainNode):
 
     def _take_cloud(self, message: PointCloud2) -> None:
         self._state.take_cloud(read_observed(message, self._page.settings.maximum_points))
+
+    def _take_image(self, image: CameraImage) -> None:
+        self._state.take_image(image, time.monotonic())
 
     def _show(self, _due: bool) -> None:
         """Show what is now; runs in the worker's thread."""
