@@ -1,5 +1,7 @@
 """The library of this room, which is an extra (`viewer`): viser, which draws in a browser by WebGL."""
 
+import logging
+
 from softtissue_estimator.errors import MissingDependencyError
 
 try:
@@ -18,3 +20,6 @@ __all__ = ["Headers", "Request", "Response", "viser", "websocket_server"]
 
 # What viser prints is for its own examples; the node says the address.
 rich.reconfigure(quiet=True)
+# Whoever sends something else than the page does ends their own connection, and fills no log with tracebacks.
+logging.getLogger("websockets").addHandler(logging.NullHandler())
+logging.getLogger("websockets").propagate = False

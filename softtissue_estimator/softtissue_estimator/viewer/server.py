@@ -125,6 +125,9 @@ def is_own(origin: str | None, called: str, host: str) -> bool:
     >>> is_own("http://elsewhere.example:8080", "elsewhere.example:8080", "127.0.0.1")
     False
     """
-    if host in _LOCAL_NAMES and urlsplit(f"//{called}").hostname not in _LOCAL_NAMES:
+    try:
+        name = urlsplit(f"//{called}").hostname
+        site = called if origin is None else urlsplit(origin).netloc
+    except ValueError:  # neither is an address
         return False
-    return origin is None or urlsplit(origin).netloc == called
+    return site == called and (host not in _LOCAL_NAMES or name in _LOCAL_NAMES)

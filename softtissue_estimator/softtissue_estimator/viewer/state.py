@@ -4,7 +4,7 @@ import threading
 from collections import OrderedDict
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,9 +77,14 @@ class State:
         return self._frame
 
     def take_structures(self, structures: Structures, frame: str) -> None:
-        """Take what the rows of the answers are; answers before are of another organ."""
+        """Take what the rows of the answers are; answers before are of another organ, or of a node that has ended.
+
+        Where nothing of them changed they stay the same object: whoever draws them need not begin anew.
+        """
         with self._lock:
-            self._structures, self._frame = structures, frame
+            if self._structures is None or not same(self._structures, structures):
+                self._structures = structures
+            self._frame = frame
             self._forget()
             self._distances = None
 
@@ -146,7 +151,8 @@ class State:
 
     def _refusal(self, now_s: float, maximum_age_s: float) -> str:
         """Say why nothing may be shown; empty if something may."""
-        if self._structures is None:
+        structures = self._structures
+        if structures is None:
             return "expected structures of the organ, got none"
         if not self._answers:
             return "expected an answer, got none"
@@ -157,12 +163,7 @@ class State:
             return (
                 f"expected an answer every {maximum_age_s:g} s (maximum_age_s), got none for {int(age_s)} s"
             )
-        rows = int(self._structures.first_vertex[-1])
-        if len(newest.points) != rows:
-            return f"expected {rows} rows in an answer, got {len(newest.points)}"
-        if not np.isfinite(newest.points).all():
-            return "expected finite positions in an answer, got others"
-        return ""
+        return _misfit(structures, newest.points)
 
     def _newest(self) -> Moment:
         """Return the newest answer; the moment stays the same object while nothing of it changed.
@@ -172,7 +173,9 @@ class State:
         stamp, answer = next(reversed(self._answers.items()))
         before = [one for one in self._answers if one != stamp][-1:]
         if stamp not in self._surfaces and before and before[0] in self._surfaces:
-            stamp, answer = before[0], self._answers[before[0]]
+            earlier, structures = self._answers[before[0]], self._structures
+            if structures is not None and not _misfit(structures, earlier.points):
+                stamp, answer = before[0], earlier
         last = None if self._health is None else self._health[1]
         level: Level = "OK" if last is None else last.level
         reason = "" if last is None else last.reason
@@ -258,6 +261,26 @@ def largest_sigma(sigma: FloatArray, first_vertex: NDArray[np.int64]) -> FloatAr
     parts = [sigma[first:last] for first, last in pairwise(first_vertex)]
     known = [part[~np.isnan(part)] for part in parts]
     return np.array([part.max() if len(part) else np.nan for part in known])
+
+
+def same(first: Structures, second: Structures) -> bool:
+    """Say whether structures are the same in all that is drawn."""
+    if (first.names, first.kinds) != (second.names, second.kinds):
+        return False
+    one, other = _arrays(first), _arrays(second)
+    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def _arrays(structures: Structures) -> list[NDArray[Any]]:
+    return [structures.colours, structures.first_vertex, structures.surface_faces, *structures.faces]
+
+
+def _misfit(structures: Structures, points: FloatArray) -> str:
+    """Say why an answer cannot be drawn; empty if it can."""
+    rows = int(structures.first_vertex[-1])
+    if len(points) != rows:
+        return f"expected {rows} rows in an answer, got {len(points)}"
+    return "" if np.isfinite(points).all() else "expected finite positions in an answer, got others"
 
 
 def _keep(kept: OrderedDict[int, ItemT], stamp: int, item: ItemT) -> None:

@@ -9,6 +9,10 @@ pytest.importorskip("viser", reason="the packages of requirements-viewer.txt are
 
 import http.client
 
+import viser
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
 from estimator.viewer.moments import moment, organ
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.viewer.export import recording_page
@@ -50,6 +54,26 @@ def test_pages_of_other_sites_are_refused(server):
 def test_page_served_to_a_network_is_called_by_any_name_but_asked_by_itself_alone():
     assert is_own("http://theatre-3:8080", "theatre-3:8080", "0.0.0.0")
     assert not is_own("http://elsewhere.example", "theatre-3:8080", "0.0.0.0")
+
+
+def drain(client):
+    while True:
+        client.recv(timeout=10.0)
+
+
+@pytest.mark.parametrize(("origin", "called"), [("http://[", "127.0.0.1:80"), (None, "["), (None, "")])
+def test_headers_that_are_no_addresses_are_refused(origin, called):
+    assert not is_own(origin, called, LOOPBACK)
+
+
+def test_client_that_sends_something_else_ends_its_connection_and_writes_no_log(server, capfd):
+    here = f"127.0.0.1:{server.get_port()}"
+    with connect(f"ws://{here}", subprotocols=[f"viser-v{viser.__version__}"]) as client:
+        client.send(b"nonsense")
+        with pytest.raises(ConnectionClosed):
+            drain(client)
+    assert answer(server) == 200
+    assert capfd.readouterr() == ("", "")
 
 
 def test_no_tunnel_is_opened_to_another_server(server):

@@ -180,3 +180,22 @@ def test_image_is_shown_where_the_pose_of_its_frame_is_known(state):
     assert state.view(100.5, 1.0).image is None
     state.take_image(image, 99.0)
     assert state.view(100.5, 1.0).image is None  # an old one
+
+
+def test_structures_that_did_not_change_stay_the_same_object_and_their_answers_go(state):
+    answer(state)
+    before = state.view(100.0, 1.0).structures
+    state.take_structures(organ(), "organ")
+    assert state.view(100.0, 1.0).level == "NO ESTIMATE"
+    answer(state, 10.1, 100.1)
+    assert state.view(100.1, 1.0).structures is before
+    other = organ()
+    state.take_structures(replace(other, surface_faces=other.surface_faces[::-1]), "organ")
+    answer(state, 10.2, 100.2)
+    assert state.view(100.2, 1.0).structures is not before
+
+
+def test_answer_before_that_cannot_be_drawn_is_not_shown_in_the_place_of_the_newest(state):
+    answer(state, 10.0, 100.0, points=POINTS[:3])
+    answer(state, 10.1, 100.1, surface=None)
+    assert state.view(100.1, 1.0).moment.stamp_ns == int(10.1 * S)
