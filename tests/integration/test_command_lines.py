@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from integration.harness import executable
+from integration.harness import NodeProcess, executable
 from softtissue_estimator.support.resources import resource
 
 
@@ -102,6 +102,13 @@ def test_viewer_refuses_what_it_cannot_use(environment, parameter, words):
     assert ended.returncode == 2
     (line,) = (line for line in ended.stderr.splitlines() if "[INFO]" not in line)
     assert words in line
+
+
+def test_viewer_that_others_can_reach_says_so(tmp_path, domain):
+    pytest.importorskip("viser", reason="the packages of requirements-viewer.txt are not installed")
+    parameters = {"host": "0.0.0.0", "port": 0, "buttons": False}
+    with NodeProcess(domain, tmp_path, parameters, [executable("viewer")]) as viewer:
+        viewer.wait_for_text("got 0.0.0.0: whoever reaches this computer sees the page\n")
 
 
 def test_replay_without_a_node_ends_with_a_sentence(environment):

@@ -104,6 +104,17 @@ def _own_pages_alone(answer: Callable[..., Any], host: str) -> Callable[..., Any
     return checked
 
 
+def is_loopback(host: str) -> bool:
+    """Say whether an address is reached from this machine alone.
+
+    Examples
+    --------
+    >>> is_loopback("localhost"), is_loopback("0.0.0.0")
+    (True, False)
+    """
+    return host in _LOCAL_NAMES
+
+
 def is_own(origin: str | None, called: str, host: str) -> bool:
     """Say whether a request comes from the page that this server serves.
 
@@ -130,4 +141,4 @@ def is_own(origin: str | None, called: str, host: str) -> bool:
         site = called if origin is None else urlsplit(origin).netloc
     except ValueError:  # neither is an address
         return False
-    return site == called and (host not in _LOCAL_NAMES or name in _LOCAL_NAMES)
+    return site == called and (not is_loopback(host) or name in _LOCAL_NAMES)

@@ -1,18 +1,19 @@
 """The demo's live page: the viewer as a process beside the runs, which goes on after them."""
 
 import contextlib
+import re
 import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 from softtissue_estimator.errors import SoftTissueError
 from softtissue_estimator.ros.tools.processes import executable, relayed_process
 
 START_TIMEOUT_S = 60.0
-_SERVING = "serving http"
 
 
 @contextmanager
@@ -30,20 +31,25 @@ def viewing(port: int | None) -> Iterator[None]:
     with tempfile.TemporaryDirectory(prefix="softtissue_viewer_") as folder:
         log = Path(folder) / "viewer.log"
         command = [str(executable("viewer")), "--ros-args", "-p", f"port:={port}"]
-        command += ["-p", "image_transport:=compressed"]
+        if find_spec("cv2") is not None:
+            command += ["-p", "image_transport:=compressed"]
         with relayed_process(command, log, "viewer") as viewer:
-            _wait_until_served(viewer, log)
+            address = _served_at(viewer, log)
             yield
             print(
-                "the page shows what was recorded (untick live), and exports it; Ctrl-C ends it", flush=True
+                f"{address} shows what was recorded (untick live) and exports it; Ctrl-C ends it", flush=True
             )
             with contextlib.suppress(KeyboardInterrupt):
                 viewer.wait()
 
 
-def _wait_until_served(viewer: "subprocess.Popen[str]", log: Path) -> None:
+def _served_at(viewer: "subprocess.Popen[str]", log: Path) -> str:
+    """Wait until the viewer says at which address."""
     end = time.monotonic() + START_TIMEOUT_S
-    while not log.is_file() or _SERVING not in log.read_text(encoding="utf-8"):
+    while True:
+        said = log.read_text(encoding="utf-8") if log.is_file() else ""
+        if (found := re.search(r"serving (http\S+)\n", said)) is not None:
+            return found[1]
         if viewer.poll() is not None:
             raise SoftTissueError(f"viewer: expected it to serve a page, got exit code {viewer.returncode}")
         if time.monotonic() > end:

@@ -25,6 +25,7 @@ from softtissue_estimator.ros.viewer.program import PROGRAM
 from softtissue_estimator.support.latest_worker import LatestWorker
 from softtissue_estimator.viewer.moment import CameraImage
 from softtissue_estimator.viewer.page import Page
+from softtissue_estimator.viewer.server import LOOPBACK, is_loopback
 from softtissue_estimator.viewer.settings import ViewerSettings
 from softtissue_estimator.viewer.state import KEPT, State
 
@@ -94,6 +95,11 @@ class ViewerNode(BoundedPlainNode):
 
             self._pictures = Pictures(settings.image_transport, self._take_image, self._listen, CLOUD_QOS)
         self.boundary.info(f"serving {self._page.address}")
+        if not is_loopback(settings.host):
+            self.boundary.warn(
+                f"host: expected {LOOPBACK}, got {settings.host}: whoever reaches this computer sees the page"
+                + (" and may press its buttons" if settings.buttons else "")
+            )
 
     def close(self, timeout_s: float) -> bool:
         """Stop working; return whether its thread ended in time."""
