@@ -195,10 +195,16 @@ class EstimatorConfig:
     )
     sensor_bias_m: float = setting(
         0.002,
-        "Standard deviation of a smooth error of the sensor along the surface's normal, at most, where a cloud has no "
-        "correspondences. Used by 'elastic'.",
+        "Standard deviation of a smooth error of the sensor along its ray, at most. Used by 'elastic'.",
         unit="m",
         limits=(0.0001, 0.02),
+    )
+    match_slide_m: float = setting(
+        0.005,
+        "Root mean square of how far correspondences slide along the surface together, at most: what a tracker loses. "
+        "Used by 'elastic'.",
+        unit="m",
+        limits=(0.0002, 0.05),
     )
     track_slide_m_s: float = setting(
         0.0005,

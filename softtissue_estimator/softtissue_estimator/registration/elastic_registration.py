@@ -270,6 +270,6 @@ class _Registration:
         gram = precision * response.T @ response
         right = precision * response.T @ observed
         prior = Variances(
-            variances, variances.new_zeros(())
+            variances, variances.new_zeros(0)
         )  # errors that neighbours share are not told from loads here
-        return determine_relevance(gram, right, prior, 0, _VARIANCE_UPDATES, 0.0)
+        return determine_relevance(gram, right, prior, (), _VARIANCE_UPDATES, 0.0)

@@ -16,8 +16,9 @@ from softtissue_estimator.organ.mesh import FloatArray
 
 MOST_OUTLIERS = 0.25
 """Share of the points that may be torn off the surface: with more, the rest may be the wrong part."""
-MOST_SHARED_ERROR_M = 0.0015
-"""Standard deviation of the error that neighbouring points share: more than sensors and trackers that work have."""
+MOST_SHARED_ERROR_M = 0.0012
+"""Root mean square of an error that neighbouring points share, of the sensor or of matches that slid: more than those
+that work have."""
 MOST_SQUARED_ERRORS = 16.8
 """Of the registration's six errors over the variances that are expected at worst, summed: the 99th percentile."""
 
@@ -139,7 +140,8 @@ def doubts(
         found.append(
             f"observation: expected an organ that bends, got {1e3 * unexplained:.1f} mm that no load explains"
         )
-    shared = float(posterior.amplitudes.prior.field.sqrt())
+    fields = posterior.amplitudes.prior.fields
+    shared = float((fields * fields.new_tensor(posterior.observed.field_components)).sum().sqrt())
     if shared > MOST_SHARED_ERROR_M:
         found.append(
             f"observation: expected neighbouring points to agree, got errors of {1e3 * shared:.1f} mm that they share"

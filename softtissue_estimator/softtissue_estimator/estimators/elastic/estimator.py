@@ -14,7 +14,7 @@ from softtissue_estimator.estimators.elastic.estimate import ElasticEstimate
 from softtissue_estimator.estimators.elastic.memory import Known, reason_for_disbelief
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
 from softtissue_estimator.estimators.elastic.observed import Matchable
-from softtissue_estimator.estimators.elastic.observed_pairs import ObservedPairs
+from softtissue_estimator.estimators.elastic.observed_pairs import PairsObservation
 from softtissue_estimator.estimators.elastic.observed_surface import ObservedSurface, SurfaceObservation
 from softtissue_estimator.estimators.elastic.own_motion import OwnMotion, own_motion
 from softtissue_estimator.estimators.elastic.posterior import Posterior
@@ -205,7 +205,8 @@ class ElasticEstimator(Estimator):
         watch.lap("match")
         motion = fit_patches(patches, config.model_sigma_m)
         watch.lap("rigid")
-        return ObservedPairs(patches, model), motion, 1.0 - float(kept.mean())
+        pairs = PairsObservation(patches, model, config.sensor_bias_m, config.match_slide_m)
+        return pairs, motion, 1.0 - float(kept.mean())
 
     def _diagnosis(
         self,

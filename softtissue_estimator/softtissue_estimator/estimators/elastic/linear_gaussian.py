@@ -12,7 +12,6 @@ Gauss-Newton on the non-linear energy. At the start the organ is linear about a 
 rotations harmless.
 """
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -22,6 +21,7 @@ from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.observed_nodes import ObservedNodes
 from softtissue_estimator.estimators.elastic.relevance import (
     Amplitudes,
+    FieldValues,
     Variances,
     determine_relevance,
     invert_lower,
@@ -35,31 +35,45 @@ _BLOCK_ROWS = 160  # of a triangular matrix: as many as are worth a product of t
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """What moves observed nodes without moving the organ.
+    """What moves observed nodes without moving the organ: fields of errors, and nuisance parameters.
 
     Parameters
     ----------
-    field : (s, m) float64
-        Displacement of the nodes by each unit of a field, the same along each axis: 3 m values, of one centre after
-        the other.
+    columns : (s, m) float64
+        Displacement of the nodes along an axis by each independent part of a smooth field.
     nuisance : (s, 3, k) float64 m
-        Their displacement by each of k parameters with the prior N(0, 1).
-    most_sigma_m : float
-        Standard deviation of the field, at most.
+        Displacement by each of k parameters with the prior N(0, 1).
+    ray : (3,) float64 or None
+        Along which a field of m values acts.
+    slide : (s, 3, q) float64 or None
+        Displacement by each value of a further field.
+    most_fields : (f,) float64 m^2 or None
+        Variance of each field, at most: of that along the ray, of the one along any axis (3 m values, of one part
+        after the other), of the further one.
     """
 
-    field: Tensor
+    columns: Tensor
     nuisance: Tensor
-    most_sigma_m: float = math.inf
+    ray: Tensor | None = None
+    slide: Tensor | None = None
+    most_fields: Tensor | None = None
 
     @property
-    def field_values(self) -> int:
-        """3 m."""
-        return 3 * self.field.shape[1]
+    def field_values(self) -> FieldValues:
+        """Count of the values of each field."""
+        count = self.columns.shape[1]
+        along_ray = () if self.ray is None else (count,)
+        further = () if self.slide is None else (self.slide.shape[2],)
+        return *along_ray, 3 * count, *further
 
     def displacement(self, amplitudes: Amplitudes) -> Tensor:
         """Mean of what they move the observed nodes by, (s, 3) float64 m."""
-        return self.field @ amplitudes.field.view(-1, 3) + self.nuisance @ amplitudes.nuisance
+        values = list(amplitudes.field.split(self.field_values))
+        along_ray = 0.0 if self.ray is None else values.pop(0)[:, None] * self.ray
+        found: Tensor = (
+            self.columns @ (values[0].view(-1, 3) + along_ray) + self.nuisance @ amplitudes.nuisance
+        )
+        return found if self.slide is None else found + self.slide @ values[1]
 
 
 def equal_variances(
@@ -91,7 +105,7 @@ def condition(
     response = _response(tangent, observed.nodes).double()
     gram, right = _normal_equations(response, errors, observed.normal, observed.right - shifted)
     power = observed.power + float((offset * (shifted - 2.0 * observed.right)).sum())
-    limits = LEAST_FIELD_SIGMA_M**2, errors.most_sigma_m**2
+    limits = LEAST_FIELD_SIGMA_M**2, errors.most_fields
     amplitudes = determine_relevance(gram, right, variances, errors.field_values, updates, *limits, power)
     return amplitudes, amplitudes.log_evidence(right, power)
 
@@ -99,7 +113,7 @@ def condition(
 def _normal_equations(
     response: Tensor, errors: Errors, normal: Tensor, right: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return J^T S^-1 J, (r, r), and J^T S^-1 y, (r,), of the field, the loads and the nuisance parameters.
+    """Return J^T S^-1 J, (r, r), and J^T S^-1 y, (r,), of the fields, the loads and the nuisance parameters.
 
     Parameters
     ----------
@@ -108,16 +122,24 @@ def _normal_equations(
     normal : (s, s)
     right : (s, 3)
     """
-    direct = torch.cat([response, errors.nuisance], dim=2)
+    columns, further = errors.columns, [] if errors.slide is None else [errors.slide]
+    direct = torch.cat([*further, response, errors.nuisance], dim=2)
     count, _, width = direct.shape
-    field, flat = errors.field, direct.reshape(3 * count, width)
+    flat = direct.reshape(3 * count, width)
     weighted = normal @ direct.reshape(count, 3 * width)
-    # What the field moves along one axis tells nothing of another one.
-    mixed = (field.T @ weighted).reshape(errors.field_values, width)
-    alone = torch.kron(field.T @ (normal @ field), torch.eye(3, dtype=field.dtype, device=field.device))
     outer = flat.T @ weighted.reshape(3 * count, width)
+    # What a field moves along one axis tells nothing of another one.
+    axes = torch.eye(3, dtype=columns.dtype, device=columns.device)
+    alone = torch.kron(columns.T @ (normal @ columns), axes)
+    mixed = (columns.T @ weighted).reshape(len(alone), width)
+    told = (columns.T @ right).reshape(-1)
+    if errors.ray is not None:
+        # Its part of each axis' field: nothing new is to be summed up.
+        ray = torch.kron(torch.eye(columns.shape[1], dtype=columns.dtype, device=columns.device), errors.ray)
+        whole = torch.cat([ray, torch.eye(len(alone), dtype=columns.dtype, device=columns.device)])
+        alone, mixed, told = whole @ alone @ whole.T, whole @ mixed, whole @ told
     gram = torch.cat([torch.cat([alone, mixed], dim=1), torch.cat([mixed.T, outer], dim=1)])
-    return gram, torch.cat([(field.T @ right).reshape(-1), flat.T @ right.reshape(-1)])
+    return gram, torch.cat([told, flat.T @ right.reshape(-1)])
 
 
 def mean_displacement(tangent: Tangent, amplitudes: Amplitudes) -> Tensor:

@@ -50,6 +50,10 @@ class Explained(Protocol):
         """What it leaves of each patch, (c, 3) m."""
 
     @property
+    def observed(self) -> Observed:
+        """What it explains."""
+
+    @property
     def registration(self) -> RegistrationError:
         """What was supposed of it."""
 
@@ -66,8 +70,8 @@ class Matchable(Protocol):
         """Errors of the model with which it is matched about rest, from coarse to fine; none where pairs are given."""
 
     @property
-    def first_field_m(self) -> float:
-        """Standard deviation of the error that neighbouring patches share, before the evidence tells it, m."""
+    def first_fields_m(self) -> tuple[float, ...]:
+        """Standard deviation of each field of errors that neighbours share, before the evidence tells it, m."""
 
     @property
     def turns(self) -> int:
@@ -118,6 +122,8 @@ class Observed(Protocol):
         One where the patch belongs to the organ, else zero.
     components : int
         That are observed of each patch: 3, or 1 along the normal.
+    field_components : tuple of int
+        Along how many directions each field of errors acts at a place.
     equations : int
         How many numbers were observed in all.
     nodes : (s,) int64
@@ -127,6 +133,7 @@ class Observed(Protocol):
     precision: FloatArray
     counts: FloatArray
     components: int
+    field_components: tuple[int, ...]
     equations: int
     nodes: Tensor
 
@@ -145,7 +152,7 @@ class Observed(Protocol):
         precision: FloatArray,
         variances: Variances,
         updates: int,
-        most_field_m: float,
+        most_fields: Tensor | None,
     ) -> Conditioned:
         """Condition loads and errors on what is observed.
 
@@ -159,6 +166,6 @@ class Observed(Protocol):
             To start from.
         updates : int
             Of the variances.
-        most_field_m : float
-            Standard deviation of the field of errors, at most, m.
+        most_fields : (f,) float64 m^2 or None
+            Variances of the fields of errors, at most.
         """

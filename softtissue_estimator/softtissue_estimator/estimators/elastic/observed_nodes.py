@@ -61,6 +61,10 @@ class ObservedPlaces:
         """Interpolate what is known at `nodes`, (s, k), to the places, (c, k)."""
         return np.asarray(self._interpolation @ nodal.cpu().numpy())
 
+    def collected(self, placed: FloatArray) -> FloatArray:
+        """Sum what is known at the places, (c, k), up at `nodes`, (s, k)."""
+        return np.asarray(self._interpolation.T @ placed)
+
     def sum_up(self, observed: FloatArray, precision: FloatArray) -> ObservedNodes:
         """Sum an observation up.
 

@@ -1,65 +1,118 @@
-"""Tracked points, each with its place on the preoperative surface, averaged over small patches: see `Observed`."""
+"""Tracked points, each with its place on the preoperative surface, averaged over small patches: see `Observed`.
+
+Neighbours err together. A sensor sees the surface bent: a displacement along its ray. A tracker follows a point of the
+tissue that is not the one it says: a displacement along the surface. What else is wrong may be so along any axis. An
+error along the ray leaves two components of a pair right, one along the surface leaves that along the normal right; the
+evidence tells how large each of the three is (`smooth_error`).
+"""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+import torch
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.linear_gaussian import Errors, condition, mean_displacement
 from softtissue_estimator.estimators.elastic.model import ElasticModel
-from softtissue_estimator.estimators.elastic.observed import Conditioned, Explained
+from softtissue_estimator.estimators.elastic.observed import Conditioned, Explained, Observed
 from softtissue_estimator.estimators.elastic.observed_nodes import ObservedPlaces
 from softtissue_estimator.estimators.elastic.registration_error import REGISTRATION_SCALES, RegistrationError
 from softtissue_estimator.estimators.elastic.relevance import Variances
-from softtissue_estimator.estimators.elastic.smooth_error import FIRST_SIGMA_M, field_columns
+from softtissue_estimator.estimators.elastic.smooth_error import (
+    FIRST_SIGMA_M,
+    along_surface,
+    field_columns,
+    log_prior,
+)
 from softtissue_estimator.observation.patch_average import ObservedPatches
-from softtissue_estimator.organ.mesh import FloatArray
+from softtissue_estimator.organ.mesh import FloatArray, unit_rows
 
 
-class ObservedPairs:
-    """See `Observed`.
+class PairsObservation:
+    """Pairs that are given: see `Matchable`.
 
     Parameters
     ----------
     patches : ObservedPatches
     model : ElasticModel
+    sensor_bias_m, match_slide_m : float
+        As in `EstimatorConfig`.
+
+    Attributes
+    ----------
+    patches : ObservedPatches
+    nodes_at_rest : (n, 3) float64 m
+    places : ObservedPlaces
+        Of the patches.
+    field : (s, m) float64
+        Displacement of the nodes observed by each independent part of a smooth field.
+    most_fields : (3,) float64 m^2
+        Variance of the sensor's error along its ray, of each component along any axis, and of the slide, at most.
     """
 
-    components = 3
     turns = 2
     identified = True
     first_sigmas_m: tuple[float, ...] = ()
-    first_field_m = FIRST_SIGMA_M
     least_sigma_m = 0.0
     registration_scales = REGISTRATION_SCALES
 
-    def __init__(self, patches: ObservedPatches, model: ElasticModel) -> None:
-        self._patches, self._nodes_at_rest = patches, model.nodes
-        self._places = ObservedPlaces(model.surface_interpolation(patches.reference), model.device)
-        self._field = field_columns(model.nodes.index_select(0, self._places.nodes), patches.reference)
+    def __init__(
+        self, patches: ObservedPatches, model: ElasticModel, sensor_bias_m: float, match_slide_m: float
+    ) -> None:
+        self.patches, self.nodes_at_rest = patches, model.nodes
+        self.places = ObservedPlaces(model.surface_interpolation(patches.reference), model.device)
+        self.field = field_columns(model.nodes.index_select(0, self.places.nodes), patches.reference)
+        most = sensor_bias_m, sensor_bias_m, match_slide_m / math.sqrt(2.0)
+        self.first_fields_m = tuple(min(FIRST_SIGMA_M, one) for one in most)
+        self.most_fields = self.field.new_tensor(most).square()
+        self._surface = model.moved_surface
+        self._material = self._surface.followed(patches.reference)
+
+    def about(self, mean: Tensor, registration: RegistrationError, reach_m: float) -> ObservedPairs:
+        """Return the pairs, which may be wrong along the surface as the organ is estimated now."""
+        return ObservedPairs(self, self._surface.normals(self._material, mean.cpu().numpy()))
+
+    def anew(self, explained: Explained, reach_m: float) -> tuple[Observed, FloatArray]:
+        """Return the same, and what is left of it."""
+        return explained.observed, explained.residual
+
+
+class ObservedPairs:
+    """Pairs, and along what they may be wrong: see `Observed`.
+
+    Parameters
+    ----------
+    whole : PairsObservation
+    normals : (c, 3)
+        Of the surface as it has moved, at the patches.
+    """
+
+    components = 3
+    field_components: tuple[int, ...] = (1, 3, 2)
+
+    def __init__(self, whole: PairsObservation, normals: FloatArray) -> None:
+        patches, self._whole, self._places = whole.patches, whole, whole.places
         self._positions = patches.reference + patches.displacement
-        self.precision, self.nodes = patches.precision, self._places.nodes
+        self.precision, self.nodes = patches.precision, whole.places.nodes
         self.counts = np.ones(len(patches.precision))
         self.equations = 3 * len(patches.precision)
+        # A camera sees the side that faces it. An organ that is seen from all sides has no ray: any will do.
+        self._ray = torch.from_numpy(unit_rows(normals.mean(axis=0)[None])[0]).to(whole.field.device)
+        at_nodes = torch.from_numpy(unit_rows(self._places.collected(normals))).to(whole.field.device)
+        self._slide = along_surface(whole.field, self._ray, at_nodes)
 
     @property
     def reference(self) -> FloatArray:
         """Where each patch was on the preoperative surface, (c, 3) m."""
-        return self._patches.reference
+        return self._whole.patches.reference
 
     @property
     def displacement(self) -> FloatArray:
         """See `Observed.displacement`."""
-        return self._patches.displacement
-
-    def about(self, mean: Tensor, registration: RegistrationError, reach_m: float) -> ObservedPairs:
-        """Return the same: pairs are given."""
-        return self
-
-    def anew(self, explained: Explained, reach_m: float) -> tuple[ObservedPairs, FloatArray]:
-        """Return the same, and what is left of it."""
-        return self, explained.residual
+        return self._whole.patches.displacement
 
     def condition(
         self,
@@ -68,15 +121,18 @@ class ObservedPairs:
         precision: FloatArray,
         variances: Variances,
         updates: int,
-        most_field_m: float,
+        most_fields: Tensor | None,
     ) -> Conditioned:
         """See `Observed.condition`."""
-        displacement = registration.corrected(self._positions) - self._patches.reference
-        positions = (self._nodes_at_rest + tangent.state).index_select(0, self.nodes)
-        errors = Errors(self._field, registration.columns(positions), most_field_m)
+        displacement = registration.corrected(self._positions) - self.reference
+        positions = (self._whole.nodes_at_rest + tangent.state).index_select(0, self.nodes)
+        whole = self._whole.most_fields
+        most = whole if most_fields is None else whole.minimum(most_fields)
+        nuisance = registration.columns(positions)
+        errors = Errors(self._whole.field, nuisance, self._ray, self._slide, most)
         observed = self._places.sum_up(displacement, precision)
         amplitudes, evidence = condition(tangent, observed, errors, variances, updates)
-        evidence += 1.5 * float(np.log(precision).sum())
+        evidence += 1.5 * float(np.log(precision).sum()) + log_prior(amplitudes.prior.fields, whole)
         mean = mean_displacement(tangent, amplitudes)
         shown = mean.index_select(0, self.nodes) + errors.displacement(amplitudes)
         return Conditioned(amplitudes, mean, displacement - self._places.at(shown), evidence)

@@ -23,7 +23,7 @@ from softtissue_estimator.estimators.elastic.linear_gaussian import LEAST_FIELD_
 from softtissue_estimator.estimators.elastic.observed import Conditioned, Explained
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.relevance import Amplitudes, Variances, determine_relevance
-from softtissue_estimator.estimators.elastic.smooth_error import field_columns
+from softtissue_estimator.estimators.elastic.smooth_error import field_columns, log_prior
 from softtissue_estimator.estimators.elastic.surface_rows import normal_rows, tangent_rows
 from softtissue_estimator.observation.patch_average import ObservedPatches
 from softtissue_estimator.observation.seen_surface import SeenSurface
@@ -53,7 +53,7 @@ class SurfaceObservation:
 
     Attributes
     ----------
-    first_field_m : float
+    first_fields_m : tuple of float
         See `Matchable`.
     field : (c, m) float64
         What each independent part of the sensor's smooth error does to each row of `SurfaceRows`: nothing along the
@@ -77,7 +77,7 @@ class SurfaceObservation:
     ) -> None:
         self.seen, self.surface, self.sensor_bias_m, self.tracks = seen, surface, sensor_bias_m, tracks
         # An organ that rests is not moved by an error of the sensor, as long as that is as likely.
-        self.first_field_m = sensor_bias_m
+        self.first_fields_m = (sensor_bias_m,)
         self.places = None if tracks is None else surface.followed(tracks.reference)
         if len(seen.position) < LEAST_PATCHES:
             raise _too_few(len(seen.position), "that show a surface")
@@ -112,6 +112,7 @@ class ObservedSurface:
     """
 
     components = 1
+    field_components: tuple[int, ...] = (1,)
 
     def __init__(
         self, whole: SurfaceObservation, mean: Tensor, registration: RegistrationError, reach_m: float
@@ -188,7 +189,7 @@ class ObservedSurface:
         precision: FloatArray,
         variances: Variances,
         updates: int,
-        most_field_m: float,
+        most_fields: Tensor | None,
     ) -> Conditioned:
         """See `Observed.condition`."""
         used, rows, field = self._used, self.rows, self._whole.field
@@ -199,10 +200,12 @@ class ObservedSurface:
         weighted = matrix * w[:, None]
         device = tangent.state.device
         gram, right = (matrix.T @ weighted).to(device), (weighted.T @ y).to(device)
-        most_field_m = min(most_field_m, self._whole.sensor_bias_m)
-        power, limits = float(w @ y.square()), (LEAST_FIELD_SIGMA_M**2, most_field_m**2)
-        amplitudes = determine_relevance(gram, right, variances, field.shape[1], updates, *limits, power)
+        whole = variances.fields.new_full((1,), self._whole.sensor_bias_m**2)
+        most = whole if most_fields is None else whole.minimum(most_fields)
+        power, limits = float(w @ y.square()), (LEAST_FIELD_SIGMA_M**2, most)
+        amplitudes = determine_relevance(gram, right, variances, (field.shape[1],), updates, *limits, power)
         evidence = amplitudes.log_evidence(right, power) + 0.5 * float(w.log().sum())
+        evidence += log_prior(amplitudes.prior.fields, whole)
         mean = mean_displacement(tangent, amplitudes)
         return Conditioned(amplitudes, mean, self._left(registration, mean, amplitudes), evidence)
 

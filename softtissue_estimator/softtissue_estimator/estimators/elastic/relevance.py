@@ -3,13 +3,15 @@
 Amplitudes a of groups of three (the components of one load) have the prior N(0, v_g I_3), one variance v_g a group, and
 are observed through a linear model with Gaussian noise. Maximising the evidence over the variances drives most of them
 to zero (MacKay 1992; Tipping 2001): loads in surgery are few and local. Errors explain the observation too: before the
-loads stands a field of one variance for all its values, re-estimated in the same way (`smooth_error`), behind them
+loads stand fields of one variance for all values of each, re-estimated in the same way (`smooth_error`), behind them
 nuisance parameters with the prior N(0, I), whose variances stay (`registration_error`). A Cholesky factor so has last
-rows that are the factor of what is left when the field is integrated out.
+rows that are the factor of what is left when the fields are integrated out.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import torch
 from torch import Tensor
@@ -19,6 +21,8 @@ _LEAST_VARIANCE_SHARE = 1e-12  # of the largest: an irrelevant load keeps a vari
 PRUNED_SHARE = 1e-3
 """Of the largest variance: a load with less is not re-estimated again. Smaller shares take longer, and answers about
 simulated organs are a little worse with them."""
+FieldValues = tuple[int, ...]
+"""How many values each field of errors has."""
 _DIRECT_ROWS = 160  # up to which a triangular matrix is inverted at once: halving gains nothing there
 
 
@@ -30,30 +34,32 @@ class Variances:
     ----------
     loads : (p,) float64
         Of each load's amplitude.
-    field : () float64, m^2
-        Of the field of errors.
+    fields : (f,) float64, m^2
+        Of each field of errors.
     """
 
     loads: Tensor
-    field: Tensor
+    fields: Tensor
 
     def part(self, loads: Tensor) -> "Variances":
         """Return those of some loads alone."""
-        return Variances(self.loads[loads], self.field)
+        return Variances(self.loads[loads], self.fields)
 
     def at_least(self, share: float) -> "Variances":
         """Return variances of the loads that are at least a share of the largest."""
-        return Variances(self.loads.clamp_min(share * float(self.loads.max())), self.field)
+        return Variances(self.loads.clamp_min(share * float(self.loads.max())), self.fields)
 
     def at_least_each(self, least: Tensor) -> "Variances":
         """Return variances of the loads that are at least those of `least`, (p,)."""
-        return Variances(torch.maximum(self.loads, least), self.field)
+        return Variances(torch.maximum(self.loads, least), self.fields)
 
-    def roots(self, field: int, rank: int) -> Tensor:
-        """Prior standard deviation of every parameter, (rank,), if the field has so many values."""
+    def roots(self, values: FieldValues, rank: int) -> Tensor:
+        """Prior standard deviation of every parameter, (rank,), if the fields have so many values."""
         roots = self.loads.new_ones(rank)
-        roots[:field] = self.field.sqrt()
-        roots[field : field + 3 * len(self.loads)] = self.loads.sqrt().repeat_interleave(3)
+        for own, variance in zip(_slices(values), self.fields, strict=True):
+            roots[own] = variance.sqrt()
+        begin = sum(values)
+        roots[begin : begin + 3 * len(self.loads)] = self.loads.sqrt().repeat_interleave(3)
         return roots
 
 
@@ -65,8 +71,8 @@ class Amplitudes:
     ----------
     mean : (r,) float64
     prior : Variances
-    field_values : int
-        m.
+    field_values : tuple of int
+        How many values each field has, m in all.
     factor : (r, r) float64
         Lower Cholesky factor L of I + D G D, D the prior's standard deviations: the covariance is D (L L^T)^-1 D.
     gram : (r, r) float64
@@ -78,7 +84,7 @@ class Amplitudes:
 
     mean: Tensor
     prior: Variances
-    field_values: int
+    field_values: FieldValues
     factor: Tensor
     gram: Tensor
     surprise: float = math.nan
@@ -97,7 +103,7 @@ class Amplitudes:
 
     def with_loads(self, kept: Tensor) -> "Amplitudes":
         """Return the posterior that some of the loads alone, (l,) their numbers, would have with the same variances."""
-        used = _parameters(kept, self.field_values, len(self.variances), len(self.mean))
+        used = _parameters(kept, self._begin, len(self.variances), len(self.mean))
         gram, prior = self.gram[used[:, None], used], self.prior.part(kept)
         factor, _ = _posterior(gram, torch.zeros_like(gram[0]), prior, self.field_values)
         return Amplitudes(self.mean[used], prior, self.field_values, factor, gram)
@@ -109,13 +115,13 @@ class Amplitudes:
 
     @property
     def field(self) -> Tensor:
-        """Mean of the values of the field, (m,)."""
-        return self.mean[: self.field_values]
+        """Mean of the values of the fields, one field after the other, (m,)."""
+        return self.mean[: self._begin]
 
     @property
     def loads(self) -> Tensor:
         """Mean of the loads alone, (3 p,)."""
-        return self.mean[self.field_values : self._end]
+        return self.mean[self._begin : self._end]
 
     @property
     def nuisance(self) -> Tensor:
@@ -124,17 +130,21 @@ class Amplitudes:
 
     @property
     def _end(self) -> int:
-        return self.field_values + 3 * len(self.variances)
+        return self._begin + 3 * len(self.variances)
+
+    @property
+    def _begin(self) -> int:
+        return sum(self.field_values)
 
     @property
     def loads_factor(self) -> Tensor:
         """Factor (3 p + k, 3 p + k) of the loads and nuisance parameters with the field integrated out."""
-        return self.factor[self.field_values :, self.field_values :]
+        return self.factor[self._begin :, self._begin :]
 
     @property
     def loads_gram(self) -> Tensor:
         """G of the loads alone, (3 p, 3 p)."""
-        return self.gram[self.field_values : self._end, self.field_values : self._end]
+        return self.gram[self._begin : self._end, self._begin : self._end]
 
     @property
     def root(self) -> Tensor:
@@ -159,10 +169,10 @@ def determine_relevance(
     gram: Tensor,
     right: Tensor,
     variances: Variances,
-    field_values: int,
+    field_values: FieldValues,
     updates: int,
     least_field: float,
-    most_field: float = math.inf,
+    most_fields: Tensor | None = None,
     power: float = math.nan,
 ) -> Amplitudes:
     """Re-estimate the variances and return the amplitudes' posterior.
@@ -178,12 +188,14 @@ def determine_relevance(
         J^T S^-1 y.
     variances : Variances
         To start from, above zero.
-    field_values : int
-        How many parameters before the loads are values of the field.
+    field_values : tuple of int
+        How many parameters before the loads are values of each field.
     updates : int
         How often to re-estimate; 0 gives the posterior for the given variances.
-    least_field, most_field : float
-        m^2; between which the field's variance stays.
+    least_field : float
+        Variance of each field at least, m^2.
+    most_fields : (f,) float64 or None
+        Variance of each field at most, m^2.
     power : float
         y^T S^-1 y, where the surprise is asked for.
     """
@@ -192,7 +204,9 @@ def determine_relevance(
     for update in range(updates):
         variances, explained = _reestimated(gram, right, variances, kept, field_values)
         surprise = surprise if update else power - explained
-        variances = replace(variances, field=variances.field.clamp(least_field, most_field))
+        fields = variances.fields.clamp_min(least_field)
+        fields = fields if most_fields is None else fields.minimum(most_fields)
+        variances = replace(variances, fields=fields)
         # An irrelevant load moves nothing, and takes as long as another one.
         kept = torch.nonzero(variances.loads >= PRUNED_SHARE * variances.loads.max())[:, 0]
     factor, mean = _posterior(gram, right, variances, field_values)
@@ -200,35 +214,41 @@ def determine_relevance(
 
 
 def _reestimated(
-    gram: Tensor, right: Tensor, variances: Variances, kept: Tensor, field_values: int
+    gram: Tensor, right: Tensor, variances: Variances, kept: Tensor, field_values: FieldValues
 ) -> tuple[Variances, float]:
     """Re-estimate the variances of the loads that are kept and of the field; also (J^T S^-1 y) . a as they were."""
     if len(kept) < len(variances.loads):
-        used = _parameters(kept, field_values, len(variances.loads), len(right))
+        used = _parameters(kept, sum(field_values), len(variances.loads), len(right))
         gram, right = gram[used[:, None], used], right[used]
     part = variances.part(kept)
     factor, mean = _posterior(gram, right, part, field_values)
     # Posterior over prior variance.
     remaining = invert_lower(factor).square().sum(dim=0)
-    ours = slice(field_values, field_values + 3 * len(kept))
+    ours = slice(sum(field_values), sum(field_values) + 3 * len(kept))
     determined = (1.0 - remaining[ours].view(-1, 3).mean(dim=1)).clamp_min(_LEAST_DETERMINED_SHARE)
     fixed_point = mean[ours].square().view(-1, 3).mean(dim=1) / determined
     fixed_point = fixed_point.clamp_min(_LEAST_VARIANCE_SHARE * float(part.loads.max()))
     loads = variances.loads.clone()
     loads[kept] = (part.loads * fixed_point).sqrt()
-    field = variances.field
-    if field_values:
-        share = (1.0 - remaining[:field_values].mean()).clamp_min(_LEAST_DETERMINED_SHARE)
-        field = (field * mean[:field_values].square().mean() / share).sqrt()
-    return Variances(loads, field), float(right @ mean)
+    fields = variances.fields.clone()
+    for number, values in enumerate(_slices(field_values)):
+        share = (1.0 - remaining[values].mean()).clamp_min(_LEAST_DETERMINED_SHARE)
+        fields[number] = (fields[number] * mean[values].square().mean() / share).sqrt()
+    return Variances(loads, fields), float(right @ mean)
 
 
-def _parameters(kept: Tensor, field: int, loads: int, count: int) -> Tensor:
-    """Numbers of the parameters, of so many, that belong to the loads that are kept or to none."""
+def _slices(counts: Sequence[int]) -> list[slice]:
+    """Say which of the parameters belong to each field, one field after the other."""
+    ends = list(accumulate(counts))
+    return [slice(end - count, end) for end, count in zip(ends, counts, strict=True)]
+
+
+def _parameters(kept: Tensor, values: int, loads: int, count: int) -> Tensor:
+    """Numbers of the parameters, of so many, that belong to the loads that are kept, to fields, or to neither."""
     device = kept.device
-    columns = (field + 3 * kept[:, None] + torch.arange(3, device=device)).reshape(-1)
-    behind = torch.arange(field + 3 * loads, count, device=device)
-    return torch.cat([torch.arange(field, device=device), columns, behind])
+    columns = (values + 3 * kept[:, None] + torch.arange(3, device=device)).reshape(-1)
+    behind = torch.arange(values + 3 * loads, count, device=device)
+    return torch.cat([torch.arange(values, device=device), columns, behind])
 
 
 def invert_lower(factor: Tensor) -> Tensor:
@@ -246,7 +266,9 @@ def invert_lower(factor: Tensor) -> Tensor:
     return inverse
 
 
-def _posterior(gram: Tensor, right: Tensor, variances: Variances, field_values: int) -> tuple[Tensor, Tensor]:
+def _posterior(
+    gram: Tensor, right: Tensor, variances: Variances, field_values: FieldValues
+) -> tuple[Tensor, Tensor]:
     root = variances.roots(field_values, len(right))
     precision = root[:, None] * gram * root
     precision.diagonal().add_(1.0)

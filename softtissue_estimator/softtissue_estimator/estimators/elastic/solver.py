@@ -82,6 +82,7 @@ class Solver:
         self._moved = to_tensor(motion.apply(nodes) - nodes, model.device)
         self._rotation = to_tensor(motion.rotation, model.device)
         self._rest = torch.zeros_like(self._moved)
+        self._first_fields = self._rest.new_tensor(observation.first_fields_m).square()
 
     def supposing(self, attachment_moves: bool) -> Solver:
         """Return the same with what holds the organ moving, or at rest."""
@@ -114,7 +115,7 @@ class Solver:
         other = self.supposing(attachment_moves)
         variances = Variances(
             other.prior.variances(posterior.tangent, posterior.observed.nodes, loads),
-            posterior.amplitudes.variances.new_tensor(self._observation.first_field_m**2),
+            self._first_fields,
         )
         return other._about(posterior, registration, variances, posterior.model_sigma_m, VARIANCE_UPDATES)
 
@@ -150,7 +151,7 @@ class Solver:
                 updates=1,
                 ratio=start.ratio,
                 # What is larger than all errors before is a motion of the organ.
-                most_field_m=float(start.variances.field.sqrt()),
+                most_fields=start.variances.fields,
             )
             posterior = self._plausible(explain, sigma, observed)
             if not turn:  # the error of the model is still that of before
@@ -196,7 +197,7 @@ class Solver:
         first = _FIRST_REACH_DEVIATIONS * (sigmas[0] if sigmas else math.inf)
         observed = self._observation.about(self._moved, registration, first)
         loads = self.prior.variances(tangent, observed.nodes)
-        variances = Variances(loads, loads.new_tensor(self._observation.first_field_m**2))
+        variances = Variances(loads, self._first_fields)
         for sigma in sigmas:
             weight = np.ones(len(observed.precision))
             posterior = self._explain(observed, tangent, registration, variances, sigma, weight, 1, ratio)
@@ -278,10 +279,10 @@ class Solver:
         weight: FloatArray,
         updates: int,
         ratio: int,
-        most_field_m: float = math.inf,
+        most_fields: Tensor | None = None,
     ) -> Posterior:
         precision = weight / (1.0 / observed.precision + sigma**2)
-        found = observed.condition(tangent, registration, precision, variances, updates, most_field_m)
+        found = observed.condition(tangent, registration, precision, variances, updates, most_fields)
         evidence = found.log_evidence + self._model.ratios.log_probability[ratio]
         return Posterior(
             tangent,

@@ -15,7 +15,8 @@ from softtissue_estimator.observation.rigid import RigidMotion
 CENTRE = np.array([0.1, -0.2, 0.3])
 OBSERVED = np.array([[0.0, 0.0, 0.010], [0.0, 0.0, 0.004]])
 WELL = {
-    "field_m": 0.0002,
+    "sensor_m": 0.0002,
+    "slide_m": 0.0002,
     "plausible": True,
     "farthest_m": 0.049,
     "unexplained_m": 0.0004,
@@ -33,11 +34,12 @@ def said(**wrong):
     found = WELL | wrong
     mean = torch.zeros(4, 3, dtype=torch.float64)
     mean[2, 1] = found["farthest_m"]
-    prior = SimpleNamespace(field=torch.tensor(found["field_m"] ** 2))
+    prior = SimpleNamespace(fields=torch.tensor([found["sensor_m"] ** 2, found["slide_m"] ** 2]))
     posterior = SimpleNamespace(
         mean=mean,
         plausible=found["plausible"],
         amplitudes=SimpleNamespace(prior=prior),
+        observed=SimpleNamespace(field_components=(1, 2)),
         innovation=1.4,
         attachment_moves=found["attachment_moves"],
     )
@@ -68,7 +70,8 @@ def test_nothing_is_said_where_all_is_well():
         ({"moved": True}, "stays what it is, got one off by 8 mm and 5 degrees by now"),
         ({"surprised": True}, "1.4 times its standard deviation, and that for a second"),
         ({"unexplained_m": 0.0021}, "2.1 mm that no load explains"),
-        ({"field_m": 0.0019}, "errors of 1.9 mm that they share"),
+        ({"sensor_m": 0.0019}, "errors of 1.9 mm that they share"),
+        ({"slide_m": 0.001}, "errors of 1.4 mm that they share"),
         ({"off_m": 0.022}, "off by 22 mm and 5 degrees"),
         ({"off_rad": 0.21}, "off by 8 mm and 12 degrees"),
         ({"attachment_moves": True}, "an attachment that moves"),

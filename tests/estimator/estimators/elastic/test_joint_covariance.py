@@ -12,15 +12,17 @@ from softtissue_estimator.observation.observation import make_observation
 from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_estimator.organ.organ import make_organ
 
+SHIFT = [0.003, -0.002, 0.002]
+
 
 @pytest.fixture(scope="module")
 def answered():
-    """An ellipsoid, held at one end, whose front was seen pushed; the estimate, and points in it."""
+    """An ellipsoid, held at one end, whose front was seen pushed, by a registration that is off; and points in it."""
     ball = trimesh.creation.icosphere(subdivisions=3)
     surface = SurfaceMesh(np.array(ball.vertices) * [0.06, 0.045, 0.04], np.array(ball.faces))
     organ = make_organ("ball", "organ", surface, (), surface.vertices[:, 0] < -0.045)
     front = surface.vertices[surface.vertices[:, 1] < -0.015]
-    now = front + np.exp(-(((front[:, :1] - 0.03) / 0.03) ** 2)) * [0.0, 0.006, 0.002]
+    now = front + np.exp(-(((front[:, :1] - 0.03) / 0.03) ** 2)) * [0.0, 0.006, 0.002] + SHIFT
     config = EstimatorConfig()
     observation, _ = make_observation(now, front, None, organ, config)
     estimator = ElasticEstimator(config)
@@ -35,7 +37,8 @@ def whole_covariance(posterior):
     gram = amplitudes.gram.numpy()
     prior = amplitudes.prior.roots(amplitudes.field_values, len(gram)).numpy()
     inverse = np.linalg.inv(gram + np.diag(prior**-2.0))
-    return inverse[amplitudes.field_values :, amplitudes.field_values :]
+    begin = sum(amplitudes.field_values)
+    return inverse[begin:, begin:]
 
 
 def test_it_is_that_of_the_whole_posterior(answered):

@@ -43,11 +43,14 @@ OBSERVED = np.flatnonzero((MESH.nodes[:, 2] > LENGTHS[2] - 1e-9) & (MESH.nodes[:
 OBSERVE = csr_array(
     (np.ones(len(OBSERVED)), (np.arange(len(OBSERVED)), OBSERVED)), shape=(len(OBSERVED), len(MESH.nodes))
 )
-NO_FIELD = torch.zeros((len(OBSERVED), 0), dtype=torch.float64)
 NO_NUISANCE = torch.zeros((len(OBSERVED), 3, 0), dtype=torch.float64)
+NO_FIELD = torch.zeros((len(OBSERVED), 0), dtype=torch.float64)
 NONE = Errors(NO_FIELD, NO_NUISANCE)
 FIELD = smooth_error.field_columns(torch.from_numpy(MESH.nodes[OBSERVED]), MESH.nodes[OBSERVED])
 FIELD_ALONE = Errors(FIELD, NO_NUISANCE)
+RAY = torch.tensor([0.48, -0.6, 0.64], dtype=torch.float64)
+SLIDE = torch.from_numpy(np.random.default_rng(7).normal(size=(len(OBSERVED), 3, 4)))
+ALL_FIELDS = Errors(FIELD, NO_NUISANCE, RAY, SLIDE)
 SHIFT = 0.005 * torch.eye(3, dtype=torch.float64).expand(len(OBSERVED), 3, 3)
 SIGMA_M = 0.001
 PLACES = ObservedPlaces(OBSERVE, CPU)
@@ -66,7 +69,7 @@ def told(displacement, sigma_m=SIGMA_M, places=PLACES):
 
 
 def variances(of_loads, field_sigma_m=FIELD_SIGMA_M):
-    return Variances(of_loads, torch.tensor(field_sigma_m**2, dtype=torch.float64))
+    return Variances(of_loads, torch.tensor(np.atleast_1d(field_sigma_m) ** 2, dtype=torch.float64))
 
 
 def dense_covariance(variances):
@@ -77,17 +80,29 @@ def dense_covariance(variances):
 
 
 def error_covariance(errors, field_sigma_m=FIELD_SIGMA_M):
-    """Of the observation's error by the book, (3 c, 3 c): noise, field and nuisance."""
-    field, nuisance = errors.field.numpy(), errors.nuisance.numpy().reshape(3 * len(OBSERVED), -1)
-    shared = np.kron(field_sigma_m**2 * field @ field.T, np.eye(3))
+    """Of the observation's error by the book, (3 c, 3 c): noise, fields and nuisance."""
+    columns, nuisance = errors.columns.numpy(), errors.nuisance.numpy().reshape(3 * len(OBSERVED), -1)
+    smooth = columns @ columns.T
+    parts = [np.kron(smooth, np.eye(3))]
+    if errors.ray is not None:
+        parts.insert(0, np.kron(smooth, np.outer(errors.ray, errors.ray)))
+    if errors.slide is not None:
+        slide = errors.slide.numpy().reshape(3 * len(OBSERVED), -1)
+        parts.append(slide @ slide.T)
+    sigmas = np.broadcast_to(field_sigma_m, len(parts))
+    shared = sum(sigma**2 * part for sigma, part in zip(sigmas, parts, strict=True))
     return shared + nuisance @ nuisance.T + 1e-6 * np.eye(3 * len(OBSERVED))
 
 
-def assert_dense_posterior(found, of_loads, errors, data, mean_atol):
+def assert_dense_posterior(found, of_loads, errors, data, mean_atol, field_sigma_m=FIELD_SIGMA_M):
     """Compare mean and standard deviation with those of the dense process."""
     prior = dense_covariance(of_loads.numpy())
     observe = np.kron(OBSERVE.toarray(), np.eye(3))
-    gain = prior @ observe.T @ np.linalg.inv(observe @ prior @ observe.T + error_covariance(errors))
+    gain = (
+        prior
+        @ observe.T
+        @ np.linalg.inv(observe @ prior @ observe.T + error_covariance(errors, field_sigma_m))
+    )
     mean = (gain @ data.ravel()).reshape(-1, 3)
     variance = np.diagonal(prior - gain @ observe @ prior).reshape(-1, 3).mean(axis=1)
     np.testing.assert_allclose(mean_displacement(TANGENT, found).numpy(), mean, atol=mean_atol)
@@ -103,6 +118,31 @@ def test_mean_and_deviation_are_those_of_the_dense_gaussian_process(errors):
     of_loads = equal_variances(TANGENT, summed.nodes, 0.015) * torch.linspace(0.2, 2.0, LOADS.shape[1])
     found = condition(TANGENT, summed, errors, variances(of_loads), updates=0)[0]
     assert_dense_posterior(found, of_loads, errors, data, mean_atol=2e-5)
+
+
+def test_fields_along_a_ray_and_along_given_directions_are_those_of_the_dense_process():
+    """Each of its own size; and what they move the observed nodes by is what the posterior leaves."""
+    rng = np.random.default_rng(8)
+    sigmas = np.array([0.002, 0.0005, 0.0008])
+    bent = sigmas[0] * (FIELD.numpy() @ rng.normal(size=(FIELD.shape[1], 1))) * RAY.numpy()
+    slid = sigmas[2] * (SLIDE.numpy() @ rng.normal(size=SLIDE.shape[2]))
+    data = observed(noise=0.001) + bent + slid
+    summed = told(data)
+    of_loads = equal_variances(TANGENT, summed.nodes, 0.015)
+    supposed = variances(of_loads, sigmas)
+    found, evidence = condition(TANGENT, summed, ALL_FIELDS, supposed, updates=0)
+    assert_dense_posterior(found, of_loads, ALL_FIELDS, data, 5e-5, sigmas)
+    observe = np.kron(OBSERVE.toarray(), np.eye(3))
+    moved = observe @ dense_covariance(of_loads.numpy()) @ observe.T
+    evidence -= condition(TANGENT, summed, NONE, variances(of_loads), updates=0)[1]
+    densities = [
+        multivariate_normal(None, moved + error_covariance(errors, size)).logpdf(data.ravel())
+        for errors, size in ((ALL_FIELDS, sigmas), (NONE, FIELD_SIGMA_M))
+    ]
+    assert evidence == pytest.approx(densities[0] - densities[1], abs=0.5)
+    moved = mean_displacement(TANGENT, found).numpy()[OBSERVED] + ALL_FIELDS.displacement(found).numpy()
+    left = np.sqrt(np.mean((data - moved) ** 2))
+    assert left < 0.0012 < np.sqrt(np.mean((data - moved + bent + slid) ** 2))
 
 
 @pytest.mark.parametrize("field", [False, True])
@@ -138,7 +178,7 @@ def test_the_field_is_as_large_as_the_error_that_neighbours_share():
         summed = told(truth.numpy()[OBSERVED] + error, 0.0005)
         start = variances(equal_variances(TANGENT, summed.nodes, 0.015))
         amplitudes = condition(TANGENT, summed, FIELD_ALONE, start, updates=20)[0]
-        found.append(float(amplitudes.prior.field.sqrt()))
+        found.append(float(amplitudes.prior.fields.sqrt()))
     assert found[0] == pytest.approx(LEAST_FIELD_SIGMA_M)
     assert 0.5 < found[1] / 0.002 < 2.0
 

@@ -26,8 +26,8 @@ ERRORS = FIELD_SIGMA * RNG.normal(size=FIELD)
 DATA = MODEL @ TRUTH + NOISE * RNG.normal(size=ROWS)
 WITH_ERRORS = DATA + MODEL[:, :FIELD] @ ERRORS
 GRAM = torch.from_numpy(MODEL.T @ MODEL / NOISE**2)
-START = Variances(torch.ones(GROUPS, dtype=torch.float64), torch.tensor(0.05, dtype=torch.float64))
-GIVEN = Variances(torch.linspace(0.1, 2.0, GROUPS, dtype=torch.float64), START.field)
+START = Variances(torch.ones(GROUPS, dtype=torch.float64), torch.tensor([0.05], dtype=torch.float64))
+GIVEN = Variances(torch.linspace(0.1, 2.0, GROUPS, dtype=torch.float64), START.fields)
 
 
 def right(data):
@@ -35,14 +35,14 @@ def right(data):
 
 
 def determined(updates, data=DATA, start=START):
-    return determine_relevance(GRAM, right(data), start, FIELD, updates, LEAST_FIELD)
+    return determine_relevance(GRAM, right(data), start, (FIELD,), updates, LEAST_FIELD)
 
 
 def by_parameter(variances):
     """Prior variance of every parameter."""
     return np.concatenate(
         [
-            np.full(FIELD, float(variances.field)),
+            np.full(FIELD, float(variances.fields)),
             np.repeat(variances.loads.numpy(), 3),
             np.ones(NUISANCE),
         ]
@@ -83,7 +83,7 @@ def test_factor_of_the_loads_leaves_their_doubt_and_that_of_the_nuisance():
 
 
 def test_evidence_compares_as_that_of_the_dense_model():
-    starts = START, GIVEN, dataclasses.replace(START, field=20.0 * START.field)
+    starts = START, GIVEN, dataclasses.replace(START, fields=20.0 * START.fields)
     power = float(DATA @ DATA) / NOISE**2
     found = [determined(0, start=start).log_evidence(right(DATA), power) for start in starts]
     expected = [log_evidence(start, DATA) for start in starts]
@@ -107,13 +107,29 @@ def test_only_the_loads_that_act_stay_relevant():
 def test_the_field_has_the_size_of_the_errors_and_none_where_there_are_none():
     size = np.sqrt(np.mean(ERRORS**2))
     for start in (0.05, 1e-4):
-        begin = dataclasses.replace(START, field=torch.tensor(start, dtype=torch.float64))
+        begin = dataclasses.replace(START, fields=torch.tensor([start], dtype=torch.float64))
         found = determined(30, WITH_ERRORS, begin)
-        assert float(found.prior.field.sqrt()) == pytest.approx(size, rel=0.1)
+        assert float(found.prior.fields.sqrt()) == pytest.approx(size, rel=0.1)
         np.testing.assert_allclose(found.field.numpy(), ERRORS, atol=0.05)
         assert set(np.flatnonzero(found.variances.numpy() > 0.01)) == {7, 12}
     exact = determined(30, MODEL @ TRUTH)
-    assert float(exact.prior.field) == pytest.approx(LEAST_FIELD, rel=1e-9)
+    assert float(exact.prior.fields) == pytest.approx(LEAST_FIELD, rel=1e-9)
+
+
+def test_two_fields_have_each_the_size_of_their_errors():
+    """Half of the values are errors, and the other half are none."""
+    half = FIELD // 2
+    errors = np.r_[ERRORS[:half], np.zeros(FIELD - half)]
+    start = dataclasses.replace(START, fields=torch.tensor([0.05, 0.05], dtype=torch.float64))
+    data = DATA + MODEL[:, :FIELD] @ errors
+    found = determine_relevance(GRAM, right(data), start, (half, FIELD - half), 30, LEAST_FIELD)
+    size = np.sqrt(np.mean(errors[:half] ** 2))
+    assert float(found.prior.fields[0].sqrt()) == pytest.approx(size, rel=0.15)
+    assert float(found.prior.fields[1]) < 0.1 * float(found.prior.fields[0])
+    np.testing.assert_allclose(found.field.numpy(), errors, atol=0.05)
+    most = found.prior.fields.new_tensor([1e-3, 1.0])
+    bounded = determine_relevance(GRAM, right(data), start, (half, FIELD - half), 30, LEAST_FIELD, most)
+    assert float(bounded.prior.fields[0]) == 1e-3
 
 
 def test_pruned_loads_keep_their_variances_and_the_others_go_on_without_them():
@@ -126,13 +142,13 @@ def test_pruned_loads_keep_their_variances_and_the_others_go_on_without_them():
     alone = determine_relevance(
         GRAM[used][:, used],
         right(DATA)[used],
-        Variances(first.variances[kept], first.prior.field),
-        FIELD,
+        Variances(first.variances[kept], first.prior.fields),
+        (FIELD,),
         1,
         LEAST_FIELD,
     )
     np.testing.assert_allclose(second.loads[kept].numpy(), alone.variances.numpy(), rtol=1e-10)
-    assert float(second.field) == pytest.approx(float(alone.prior.field), rel=1e-10)
+    assert float(second.fields) == pytest.approx(float(alone.prior.fields), rel=1e-10)
 
 
 def test_without_a_signal_nothing_is_relevant_and_nothing_fails():
@@ -140,7 +156,7 @@ def test_without_a_signal_nothing_is_relevant_and_nothing_fails():
     for updates in (40, 80):
         found = determined(updates, np.zeros(ROWS))
         assert float(found.variances.max()) < 1e-3
-        assert float(found.prior.field) == LEAST_FIELD
+        assert float(found.prior.fields) == LEAST_FIELD
         np.testing.assert_array_equal(found.mean.numpy(), 0.0)
 
 

@@ -9,7 +9,7 @@ from threadpoolctl import ThreadpoolController
 from estimator.shapes import ellipsoid, organ_of
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
-from softtissue_estimator.estimators.elastic.observed_pairs import ObservedPairs
+from softtissue_estimator.estimators.elastic.observed_pairs import PairsObservation
 from softtissue_estimator.estimators.elastic.registration_error import expected_error, told_error
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
 from softtissue_estimator.estimators.elastic.single_frame import solve
@@ -58,7 +58,7 @@ def explained(model, drift, held_at=-0.05):
     patches = average_patches(Observation(points, moved, np.full(len(points), 0.0005)), model.lookup)
     registration = told_error(ORGAN.centre, np.diag([0.0003**2] * 3 + [0.003**2] * 3))
     motion = fit_patches(patches, CONFIG.model_sigma_m)
-    pairs = ObservedPairs(patches, model)
+    pairs = PairsObservation(patches, model, CONFIG.sensor_bias_m, CONFIG.match_slide_m)
     solver = Solver(model, pairs, motion, registration, CONFIG.prior_sigma_m, CONFIG.model_sigma_m)
     return solver, solver.improve(solver.improve(solver.start(registration), guarded=True), guarded=True)
 

@@ -90,8 +90,8 @@ def test_posterior_is_that_of_a_dense_gaussian_process_along_the_normals(model):
     )
     precision = 1.0 / (1.0 / matched.precision + 0.001**2)
     loads = equal_variances(tangent, matched.nodes, CONFIG.prior_sigma_m)
-    variances = Variances(loads, loads.new_tensor(0.0005**2))
-    found = matched.condition(tangent, exact(model), precision, variances, 0, 0.0005)
+    variances = Variances(loads, loads.new_tensor([0.0005**2]))
+    found = matched.condition(tangent, exact(model), precision, variances, 0, None)
     used = matched.counts > 0.0
     pairs = matched.rows
     rows = np.zeros((int(used.sum()), 3 * len(model.nodes)))

@@ -110,7 +110,7 @@ def test_it_reads_the_posterior_and_the_observation(tmp_path, network, observati
     for point in SURFACE.vertices[SURFACE.vertices[:, 2] > 0.01]:
         if np.linalg.norm(points - point, axis=1).min() > 0.009:
             points = np.append(points, [point], axis=0)
-    noise = 0.003 * np.random.default_rng(1).normal(size=points.shape)
+    noise = 0.0025 * np.random.default_rng(1).normal(size=points.shape)
     estimate = made.estimate(Observation(points, bent(points) + noise, np.full(len(points), 0.003)))
     observed = given[1][4]
     order = [np.lexsort(np.round(found, 9).T) for found in (points, observed.reference.numpy())]
