@@ -19,7 +19,7 @@ ROS_COMMANDS = {
     "latency": "ros.tools.latency.main",
     "overlay": "ros.overlay.main",
 }
-COMMANDS = {"check_organ": "organ.check_organ"}
+COMMANDS = {"check_organ": "organ.check_organ", "import_organ": "segmentation.import_organ"}
 # pip, which builds a wheel, would put them into bin/, where `node` hides another program and there may be no ROS.
 WHEEL_STEPS = {"bdist_wheel", "dist_info", "editable_wheel"}
 
