@@ -1,4 +1,4 @@
-"""Start the estimator, and the overlay and RViz if asked, on a full ROS 2 installation.
+"""Start the estimator, and the overlay, the bridge to 3D Slicer and RViz if asked, on a full ROS 2 installation.
 
 ros2 launch softtissue_estimator softtissue.launch.py organ:=/data/my_liver points:=/tracker/points rviz:=true
 """
@@ -114,12 +114,27 @@ def overlay(given: dict[str, str]) -> Node:
     )
 
 
+def igtl_bridge(given: dict[str, str]) -> Node:
+    """Describe the bridge, which sends the answers of the node to 3D Slicer."""
+    chosen: dict[str, Any] = {"estimator_node": given["name"]}
+    if given["use_sim_time"]:
+        chosen["use_sim_time"] = truth("use_sim_time", given["use_sim_time"])
+    return Node(
+        package=PACKAGE,
+        executable="igtl_bridge",
+        namespace=given["namespace"],
+        output="screen",
+        respawn=truth("respawn", given["respawn"]),
+        parameters=[given["igtl_bridge_params"], chosen],
+    )
+
+
 def processes(context: LaunchContext) -> list[Node]:
     """Describe the processes from the arguments as given; whatever is wrong is said before one of them starts."""
     names = (*PARAMETERS, *TOPICS, *IMAGES, "params", "namespace", "name", "log_level", "respawn", "rviz")
-    names = (*names, "overlay", "overlay_params")
+    names = (*names, "overlay", "overlay_params", "igtl_bridge", "igtl_bridge_params")
     given = {name: LaunchConfiguration(name).perform(context) for name in names}
-    for name in ("params", "overlay_params"):
+    for name in ("params", "overlay_params", "igtl_bridge_params"):
         if not Path(given[name]).is_file():
             raise InvalidInputError(
                 f"argument {name}: expected a file of parameters, found none at {given[name]}"
@@ -139,6 +154,8 @@ def processes(context: LaunchContext) -> list[Node]:
     ]
     if truth("overlay", given["overlay"]):
         described.append(overlay(given))
+    if truth("igtl_bridge", given["igtl_bridge"]):
+        described.append(igtl_bridge(given))
     if truth("rviz", given["rviz"]):
         try:
             get_package_prefix("rviz2")
@@ -171,6 +188,11 @@ def generate_launch_description() -> LaunchDescription:
         "overlay_params": (
             str(share() / "config" / "softtissue_overlay.yaml"),
             "YAML file of the overlay's parameters",
+        ),
+        "igtl_bridge": ("false", "start the bridge to 3D Slicer too"),
+        "igtl_bridge_params": (
+            str(share() / "config" / "softtissue_igtl_bridge.yaml"),
+            "YAML file of the bridge's parameters",
         ),
     }
     actions += [

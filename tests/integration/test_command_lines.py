@@ -43,15 +43,30 @@ def test_node_refuses_what_it_does_not_know(environment, arguments, hint):
     assert "expected" in line and line.endswith(hint)
 
 
-def overlay_without_opencv(environment, *arguments):
-    program = (
+def without(library, program, environment, *arguments):
+    """Run a program where a library is not installed."""
+    script = (
         "import sys\n"
-        "sys.modules['cv2'] = None\n"
-        "from softtissue_estimator.ros.overlay.main import main\n"
+        f"sys.modules[{library!r}] = None\n"
+        f"from softtissue_estimator.ros.{program}.main import main\n"
         "main()\n"
     )
-    command = [sys.executable, "-c", program, *arguments]
+    command = [sys.executable, "-c", script, *arguments]
     return subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, timeout=60)
+
+
+def overlay_without_opencv(environment, *arguments):
+    return without("cv2", "overlay", environment, *arguments)
+
+
+def test_bridge_without_pyigtl_shows_its_help_and_says_what_to_install(environment):
+    ended = without("pyigtl", "igtl_bridge", environment, "--help")
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "--ros-args" in ended.stdout and "maximum_age_s" in ended.stdout
+    ended = without("pyigtl", "igtl_bridge", environment)
+    assert ended.returncode == 2
+    (line,) = (line for line in ended.stderr.splitlines() if "[INFO]" not in line)
+    assert line.startswith("error: igtl_bridge: expected pyigtl, got none; pip install pyigtl")
 
 
 def test_overlay_shows_its_help_and_refuses_arguments_before_it_needs_opencv(environment):

@@ -14,7 +14,7 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 from integration.harness import Client, NodeProcess, PlainClient, executable, write_organ
 from integration.sros2_policy import ACTS, ENCLAVES, allowed, policy
 
-NODE, OVERLAY = "softtissue_estimator", "softtissue_overlay"
+NODE, OVERLAY, BRIDGE = "softtissue_estimator", "softtissue_overlay", "softtissue_igtl_bridge"
 ROLES = [enclave for enclave in ENCLAVES if enclave != "node"]
 # Of the node's own expressions: what a full installation has on top.
 ONLY_WITH_TF2 = {"/tf", "/tf_static"}
@@ -73,6 +73,21 @@ def test_overlay_may_do_what_it_does_and_nothing_else(tmp_path, domain):
     assert may == opened | {"request": set()}
 
 
+def test_bridge_may_do_what_it_does_and_nothing_else(tmp_path, domain):
+    program = [executable("igtl_bridge")]
+    with NodeProcess(domain, tmp_path, {"port": 0}, program) as bridge, PlainClient(domain) as client:
+        bridge.wait_for_text("OpenIGTLink on 127.0.0.1, port")
+        client.wait(lambda: BRIDGE in client.node.get_node_names(), "bridge")
+        client.spin(0.5)
+        graph = client.node
+        opened = {
+            "publish": names(graph.get_publisher_names_and_types_by_node(BRIDGE, "/")),
+            "subscribe": names(graph.get_subscriber_names_and_types_by_node(BRIDGE, "/")),
+            "reply": names(graph.get_service_names_and_types_by_node(BRIDGE, "/")),
+        }
+    assert allowed("igtl_bridge") == opened | {"request": set()}
+
+
 def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
     node, roles = allowed("node"), {role: allowed(role) for role in ROLES}
 
@@ -90,7 +105,7 @@ def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
     for service in about_points:
         assert who("request", service) == {"display"}
     for topic in ("deformed_points", "deformed_surface", "registration"):
-        assert who("subscribe", f"/{NODE}/{topic}") == {"display", "overlay"}
+        assert who("subscribe", f"/{NODE}/{topic}") == {"display", "overlay", "igtl_bridge"}
     about_registration = {f"/{NODE}/{name}" for name in ("register", "decide_registration")}
     for service in about_registration:
         assert who("request", service) == {"registration"}

@@ -113,6 +113,15 @@ def test_overlay_draws_the_answers_of_the_node_on_the_cameras_images(launch_file
     }
 
 
+def test_bridge_sends_the_answers_of_the_node(launch_file):
+    given = {"igtl_bridge": "true", "name": "liver", "namespace": "room_1", "use_sim_time": "1"}
+    _, bridge = launch_file.processes(defaults(launch_file) | given)
+    assert (bridge.keywords["executable"], bridge.keywords["namespace"]) == ("igtl_bridge", "room_1")
+    file, chosen = bridge.keywords["parameters"]
+    assert Path(file).name == "softtissue_igtl_bridge.yaml" and Path(file).is_file()
+    assert chosen == {"estimator_node": "liver", "use_sim_time": True}
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [

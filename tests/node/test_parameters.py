@@ -13,6 +13,7 @@ from rclpy.parameter import Parameter
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.igtl.settings import BridgeSettings
 from softtissue_estimator.overlay.settings import OverlaySettings
 from softtissue_estimator.ros import parameters
 
@@ -29,12 +30,16 @@ def test_parameter_file_has_every_parameter_with_its_default():
     assert {n: type(v) for n, v in listed.items()} == {n: type(v) for n, v in defaults.items()}
 
 
-def test_parameter_file_of_the_overlay_has_every_parameter_with_its_default():
-    text = (PACKAGE / "config" / "softtissue_overlay.yaml").read_text()
-    listed, defaults = yaml.safe_load(text)["/**"]["ros__parameters"], dataclasses.asdict(OverlaySettings())
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [("softtissue_overlay", OverlaySettings), ("softtissue_igtl_bridge", BridgeSettings)],
+)
+def test_parameter_files_of_other_nodes_have_every_parameter_with_its_default(name, settings):
+    text = (PACKAGE / "config" / f"{name}.yaml").read_text()
+    listed, defaults = yaml.safe_load(text)["/**"]["ros__parameters"], dataclasses.asdict(settings())
     assert listed == defaults
     assert {n: type(v) for n, v in listed.items()} == {n: type(v) for n, v in defaults.items()}
-    for field in dataclasses.fields(OverlaySettings):
+    for field in dataclasses.fields(settings):
         assert field.metadata["description"] in text
 
 
