@@ -112,6 +112,8 @@ class Server:
 
     def send(self, messages: Mapping[str, Outgoing]) -> None:
         """Send the newest messages of some devices; they replace those that are not yet under way."""
+        if not messages:
+            return
         with self._lock:
             self._latest.update(messages)
             now = time.monotonic()

@@ -17,6 +17,7 @@ CUT_OUT_SHARE = 0.5
 """Of a segment's surface that borders on the organ: from which on it was cut out of it."""
 SECOND_BODY_SHARE = 0.05
 _CLOSING_M = 0.010  # gaps of vessels up to twice as wide are closed
+_CLOSING_GRID_M = 0.002
 
 
 @dataclass(frozen=True)
@@ -131,16 +132,19 @@ def _joined(organ: Segment, other: Segment, partly: bool, spacing: FloatArray) -
 
 
 def _closed(mask: BoolArray, other: Segment, start: Indices, spacing: FloatArray) -> BoolArray:
-    """Close gaps of up to 20 mm of a mask, near another segment."""
-    reach = np.ceil(2.0 * _CLOSING_M / spacing).astype(int) + 1
-    low = np.maximum(np.array(other.start) - start - reach, 0)
-    high = np.minimum(np.array(other.stop) - start + reach, mask.shape)
+    """Close gaps of up to 20 mm of a mask, near another segment; on a grid of 2 mm, which is fine enough for that."""
+    stride = np.maximum(np.floor(_CLOSING_GRID_M / spacing + 1e-6).astype(int), 1)
+    coarse = spacing * stride
+    reach = np.ceil(2.0 * _CLOSING_M / coarse).astype(int) + 1
+    low = np.maximum(np.array(other.start) - start - reach * stride, 0)
+    high = np.minimum(np.array(other.stop) - start + reach * stride, mask.shape)
     box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    part = np.pad(mask[box], [(n, n) for n in reach])
-    dilated = ndimage.distance_transform_edt(~part, sampling=spacing) <= _CLOSING_M
-    closed = ndimage.distance_transform_edt(dilated, sampling=spacing) > _CLOSING_M
+    part = np.pad(mask[box][tuple(slice(None, None, n) for n in stride)], [(n, n) for n in reach])
+    dilated = ndimage.distance_transform_edt(~part, sampling=coarse) <= _CLOSING_M
+    closed = ndimage.distance_transform_edt(dilated, sampling=coarse) > _CLOSING_M
+    nearest = [np.arange(b - a) // n + r for a, b, n, r in zip(low, high, stride, reach, strict=True)]
     found = np.zeros_like(mask)
-    found[box] = closed[tuple(slice(n, -n) for n in reach)]
+    found[box] = closed[np.ix_(*nearest)]
     return found
 
 

@@ -62,6 +62,7 @@ def _import(options: argparse.Namespace) -> None:
     kind_of = _kinds(segmentation, kinds)
     check_target(options.out, options.force)
     others = [s for s in segmentation.segments if s not in (organ, *holding, *left_out)]
+    _say(f"{organ.name}: looking which of {len(others)} other segments lie inside")
     found = enclose(segmentation, organ, others, kind_of, _say)
     for segment in found.outside:
         _say(f"{segment.name}: left out, it is outside {organ.name}")

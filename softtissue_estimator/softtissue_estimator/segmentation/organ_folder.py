@@ -74,10 +74,9 @@ def check_target(folder: Path, force: bool) -> None:
             raise OrganError(
                 f"--out {folder}: expected an empty folder or none, got one with files; --force writes over them"
             )
-        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OrganError(
-            f"--out {folder}: expected a folder that can be written, got '{error.strerror}'"
+            f"--out {folder}: expected a folder that can be looked into, got '{error.strerror}'"
         ) from error
 
 
@@ -93,6 +92,7 @@ def write_folder(folder: Path, content: Content) -> None:
     files = file_names([content.surface_name, *(part.name for part in content.parts), "attached"])
     unit_m = UNITS_M[UNIT]
     try:
+        folder.mkdir(parents=True, exist_ok=True)
         path.unlink(missing_ok=True)
         write_ply(folder / files[0], content.surface, unit_m, content.system)
         for part, file in zip(content.parts, files[1:], strict=False):
