@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.segmentation.drawn import (
+    CENTRE,
     GRIDS,
     NAMES,
     Grid,
@@ -76,6 +77,43 @@ def test_dicom_segmentation(tmp_path, where, kind):
     for segment in found.segments:
         np.testing.assert_allclose(segment.colour, TYPES[segment.name][2], atol=0.02)
     assert guess_kind("x", found.segments[1].meaning) == "vessel"
+
+
+def shifted(path, move):
+    """Move each frame of a DICOM SEG along by what a function says of its position, LPS mm."""
+    data = pydicom.dcmread(path)
+    for group in data.PerFrameFunctionalGroupsSequence:
+        place = group.PlanePositionSequence[0]
+        moved = move(np.array([float(value) for value in place.ImagePositionPatient]))
+        place.ImagePositionPatient = [f"{value:.6f}" for value in moved]
+    data.save_as(path)
+
+
+def test_tilted_gantry_is_followed(tmp_path):
+    """Each slice is shifted against the one below along y, by a third of their distance."""
+    where = GRIDS["anisotropic"]
+    drawn = masks(where, exclusive=True)
+    write_highdicom(tmp_path / "a.dcm", drawn, where)
+    low = where.affine[2, 3]
+    shifted(tmp_path / "a.dcm", lambda place: place + np.array([0.0, (place[2] - low) / 3.0, 0.0]))
+    tilted = where.affine.copy()
+    tilted[1, 2] += tilted[2, 2] / 3.0
+    check(tmp_path / "a.dcm", drawn, Grid(where.shape, tilted))
+
+
+@pytest.mark.parametrize(
+    "move",
+    [
+        lambda place: place + np.array([0.0, 0.0, 0.4 * (place[2] > CENTRE[2])]),  # a gap
+        lambda place: place + np.array([5.0 * (place[2] > CENTRE[2]), 0.0, 0.0]),  # the patient moved
+    ],
+)
+def test_frames_that_are_on_no_regular_grid_are_refused(tmp_path, move):
+    where = GRIDS["anisotropic"]
+    write_highdicom(tmp_path / "a.dcm", masks(where, exclusive=True), where)
+    shifted(tmp_path / "a.dcm", move)
+    with pytest.raises(InvalidInputError, match="expected frames above each other at even distances"):
+        read_segmentation(tmp_path / "a.dcm")
 
 
 def test_header_as_slicer_writes_it_by_hand(tmp_path):
