@@ -1,15 +1,14 @@
 """Read DICOM SEG: Segmentation Storage and Label Map Segmentation Storage (PS3.3, A.51), one file with many frames."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.organ.mesh import FloatArray, IntArray
+from softtissue_estimator.organ.mesh import BoolArray, FloatArray, IntArray
 from softtissue_estimator.segmentation.segments import (
+    Indices,
     Segment,
     Segmentation,
     check_count,
@@ -53,7 +52,7 @@ def read_dicom(path: Path) -> Segmentation:
     half = 1
     if str(data.get("SegmentationType", "")) == "FRACTIONAL":
         half = (int(data.MaximumFractionalValue) + 1) // 2
-    pixels = _pixels(data, frames)
+    pixels = np.asarray(data.pixel_array).reshape(frames, shape[1], shape[0])
     described = {int(item.SegmentNumber): item for item in data.SegmentSequence}
     segments, empty = [], []
     if kind == _LABEL_MAP:
@@ -62,16 +61,9 @@ def read_dicom(path: Path) -> Segmentation:
             labels[:, :, k] = frame.T
         found = masks_of_labels(labels)
     else:
-        owners = [_owner(group, described) for group in groups]
-        found = {}
-        planes = list(pixels)
-        for number in described:
-            own = [i for i, owner in enumerate(owners) if owner == number]
-            volume = np.zeros(shape, dtype=np.uint8)
-            for i in own:
-                volume[:, :, slices[i]] |= (planes[i] >= half).T
-            for cut in masks_of_labels(volume).values():
-                found[number] = cut
+        owners = np.array([_owner(group, described) for group in groups])
+        own = {number: np.flatnonzero(owners == number) for number in described}
+        found = {n: cut for n, i in own.items() if len(i) and (cut := _mask(pixels[i] >= half, slices[i]))}
     for number, item in described.items():
         name = str(item.get("SegmentLabel", "")).strip() or f"segment {number}"
         if number in found:
@@ -81,9 +73,15 @@ def read_dicom(path: Path) -> Segmentation:
     return make_segmentation(segments, affine, empty)
 
 
-def _pixels(data: Any, frames: int) -> Iterator[NDArray[Any]]:
-    pixels = np.asarray(data.pixel_array)
-    return iter(pixels.reshape(frames, int(data.Rows), int(data.Columns)))
+def _mask(frames: BoolArray, slices: IntArray) -> tuple[BoolArray, Indices] | None:
+    """Return the voxels of one segment and where they begin; None where there are none."""
+    first = int(slices.min())
+    volume = np.zeros((frames.shape[2], frames.shape[1], int(slices.max()) - first + 1), dtype=np.uint8)
+    for frame, k in zip(frames, slices, strict=True):
+        volume[:, :, k - first] |= frame.T
+    for mask, (a, b, c) in masks_of_labels(volume).values():
+        return mask, (a, b, c + first)
+    return None
 
 
 def _groups(data: Any, frames: int) -> list[Any]:
