@@ -20,7 +20,16 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--organ", metavar="SEGMENT", help="which segment is the organ")
     what.add_argument("--list", action="store_true", help="list the segments and end")
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="where the organ folder is made")
+    _add_segments(parser)
+    _add_result(parser)
+    options = parser.parse_args(arguments)
+    if options.organ is not None and options.out is None:
+        parser.error("the following arguments are required: --out")
+    return options
+
+
+def _add_segments(parser: argparse.ArgumentParser) -> None:
+    """Options that say what a segment is."""
     parser.add_argument(
         "--attached",
         action="append",
@@ -55,6 +64,11 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         metavar="NUMBER=NAME",
         help="name of a label, where the file has none (NIfTI)",
     )
+
+
+def _add_result(parser: argparse.ArgumentParser) -> None:
+    """Options that say what is written."""
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="where the organ folder is made")
     parser.add_argument("--name", help="name of the organ (default: that of the folder)")
     parser.add_argument("--frame", default="organ", help="frame_id of everything in it (default: organ)")
     parser.add_argument(
@@ -76,10 +90,6 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         action="store_true",
         help="check the result without filling it with tetrahedra, which takes some seconds",
     )
-    options = parser.parse_args(arguments)
-    if options.organ is not None and options.out is None:
-        parser.error("the following arguments are required: --out")
-    return options
 
 
 def check(options: argparse.Namespace) -> None:

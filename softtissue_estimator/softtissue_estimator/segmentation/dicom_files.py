@@ -49,9 +49,6 @@ def read_dicom(path: Path) -> Segmentation:
     affine, slices, depth = _grid(data, groups)
     shape = (int(data.Columns), int(data.Rows), depth)
     check_count(shape)
-    half = 1
-    if str(data.get("SegmentationType", "")) == "FRACTIONAL":
-        half = (int(data.MaximumFractionalValue) + 1) // 2
     pixels = np.asarray(data.pixel_array).reshape(frames, shape[1], shape[0])
     described = {int(item.SegmentNumber): item for item in data.SegmentSequence}
     segments, empty = [], []
@@ -61,9 +58,11 @@ def read_dicom(path: Path) -> Segmentation:
             labels[:, :, k] = frame.T
         found = masks_of_labels(labels)
     else:
-        owners = np.array([_owner(group, described) for group in groups])
-        own = {number: np.flatnonzero(owners == number) for number in described}
-        found = {n: cut for n, i in own.items() if len(i) and (cut := _mask(pixels[i] >= half, slices[i]))}
+        half = 1
+        if str(data.get("SegmentationType", "")) == "FRACTIONAL":
+            half = (int(data.MaximumFractionalValue) + 1) // 2
+        owners = [_owner(group, described) for group in groups]
+        found = _masks(pixels >= half, slices, np.array(owners, dtype=np.int64))
     for number, item in described.items():
         name = str(item.get("SegmentLabel", "")).strip() or f"segment {number}"
         if number in found:
@@ -73,15 +72,19 @@ def read_dicom(path: Path) -> Segmentation:
     return make_segmentation(segments, affine, empty)
 
 
-def _mask(frames: BoolArray, slices: IntArray) -> tuple[BoolArray, Indices] | None:
-    """Return the voxels of one segment and where they begin; None where there are none."""
-    first = int(slices.min())
-    volume = np.zeros((frames.shape[2], frames.shape[1], int(slices.max()) - first + 1), dtype=np.uint8)
-    for frame, k in zip(frames, slices, strict=True):
-        volume[:, :, k - first] |= frame.T
-    for mask, (a, b, c) in masks_of_labels(volume).values():
-        return mask, (a, b, c + first)
-    return None
+def _masks(frames: BoolArray, slices: IntArray, owners: IntArray) -> dict[int, tuple[BoolArray, Indices]]:
+    """Return the voxels of each segment that has any, and where they begin, from frames with their slice and owner."""
+    found = {}
+    for number in np.unique(owners):
+        own = np.flatnonzero(owners == number)
+        first = int(slices[own].min())
+        depth = int(slices[own].max()) - first + 1
+        volume = np.zeros((frames.shape[2], frames.shape[1], depth), dtype=np.uint8)
+        for i in own:
+            volume[:, :, slices[i] - first] |= frames[i].T
+        for mask, (a, b, c) in masks_of_labels(volume).values():
+            found[int(number)] = (mask, (a, b, c + first))
+    return found
 
 
 def _groups(data: Any, frames: int) -> list[Any]:
