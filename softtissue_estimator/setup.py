@@ -19,8 +19,9 @@ ROS_COMMANDS = {
     "latency": "ros.tools.latency.main",
     "overlay": "ros.overlay.main",
     "viewer": "ros.viewer.main",
+    "igtl_bridge": "ros.igtl_bridge.main",
 }
-COMMANDS = {"check_organ": "organ.check_organ"}
+COMMANDS = {"check_organ": "organ.check_organ", "import_organ": "segmentation.import_organ"}
 # pip, which builds a wheel, would put them into bin/, where `node` hides another program and there may be no ROS.
 WHEEL_STEPS = {"bdist_wheel", "dist_info", "editable_wheel"}
 

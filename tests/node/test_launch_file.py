@@ -129,6 +129,16 @@ def test_viewer_shows_the_answers_of_the_node_and_the_points_that_it_hears(launc
     }
 
 
+def test_bridge_sends_the_answers_of_the_node(launch_file):
+    given = {"igtl_bridge": "true", "name": "liver", "namespace": "room_1", "use_sim_time": "1"}
+    _, bridge = launch_file.processes(defaults(launch_file) | given)
+    assert (bridge.keywords["executable"], bridge.keywords["namespace"]) == ("igtl_bridge", "room_1")
+    file, chosen = bridge.keywords["parameters"]
+    assert Path(file).name == "softtissue_igtl_bridge.yaml" and Path(file).is_file()
+    assert chosen == {"estimator_node": "liver", "use_sim_time": True}
+    assert bridge.keywords["remappings"] == []
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [
@@ -138,6 +148,10 @@ def test_viewer_shows_the_answers_of_the_node_and_the_points_that_it_hears(launc
         ),
         ({"overlay": "true", "overlay_params": "/nowhere"}, "overlay_params: .* found none at /nowhere"),
         ({"viewer": "true", "viewer_params": "/nowhere"}, "viewer_params: .* found none at /nowhere"),
+        (
+            {"igtl_bridge": "true", "igtl_bridge_params": "/nowhere"},
+            "igtl_bridge_params: .* found none at /nowhere",
+        ),
         ({"autostart": "maybe"}, "autostart: expected true or false, got 'maybe'"),
         ({"rviz": "true"}, "rviz: expected rviz2 to be installed"),
     ],

@@ -13,6 +13,7 @@ from rclpy.parameter import Parameter
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.igtl.settings import BridgeSettings
 from softtissue_estimator.overlay.settings import OverlaySettings
 from softtissue_estimator.ros import parameters
 from softtissue_estimator.viewer.settings import ViewerSettings
@@ -30,8 +31,11 @@ def test_parameter_file_has_every_parameter_with_its_default():
     assert {n: type(v) for n, v in listed.items()} == {n: type(v) for n, v in defaults.items()}
 
 
-@pytest.mark.parametrize(("name", "settings"), [("overlay", OverlaySettings), ("viewer", ViewerSettings)])
-def test_parameter_file_of_a_display_has_every_parameter_with_its_default(name, settings):
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [("overlay", OverlaySettings), ("viewer", ViewerSettings), ("igtl_bridge", BridgeSettings)],
+)
+def test_parameter_files_of_other_nodes_have_every_parameter_with_its_default(name, settings):
     text = (PACKAGE / "config" / f"softtissue_{name}.yaml").read_text()
     listed, defaults = yaml.safe_load(text)["/**"]["ros__parameters"], dataclasses.asdict(settings())
     assert listed == defaults
