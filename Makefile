@@ -10,6 +10,8 @@ TESTS ?= $(if $(filter kilted,$(ROS)),tests,tests/integration)
 NUMPY1_TESTS := $(if $(filter command line environment,$(origin TESTS)),$(TESTS),tests/estimator tests/node tests/integration/test_colcon.py)
 PYTEST_ARGS ?=
 DEMO_ARGS ?=
+# make demo VIEW=1: with a live page at http://127.0.0.1:8080, until Ctrl-C.
+VIEW ?=
 # make bench QUICK=1: at most five minutes; BENCH_ARGS=--help.
 QUICK ?=
 BENCH_ARGS ?=
@@ -34,6 +36,7 @@ ROS_STAMP := $(if $(filter kilted,$(ROS)),.venv,.venv-$(ROS))/.installed
 BUILD_STAMP := ros2_ws/$(if $(filter kilted,$(ROS)),,$(ROS)/)install/.built
 
 VENV_INPUTS := constraints.txt requirements.txt requirements-dev.txt requirements-docs.txt requirements-ros.txt \
+	requirements-viewer.txt \
 	$(wildcard training/pyproject.toml training/setup.py) \
 	scripts/check_tools scripts/check_torch scripts/patch_ros_wheels.py scripts/setup_venv scripts/free_gmsh_of_window.py
 # Python modules are linked into the workspace, so that editing them needs no build. Folders are listed beside their
@@ -55,8 +58,8 @@ venv: $(VENV_STAMP) ## create .venv with everything pinned in constraints.txt
 
 build: $(BUILD_STAMP) ## set up .venv and build the ROS 2 workspace
 
-demo: $(BUILD_STAMP) ## the main job on the bundled phantom: table; report.json, phantom.png, overlay.png in out/demo
-	@scripts/demo $(DEMO_ARGS)
+demo: $(BUILD_STAMP) ## the main job on the bundled phantom: table; report.json, phantom.png, overlay.png in out/demo; VIEW=1: a live page
+	@scripts/demo $(if $(filter-out 0,$(VIEW)),--view) $(DEMO_ARGS)
 
 bench: $(BUILD_STAMP) ## time of everything up to the whole path, out/bench/bench.json; QUICK=1: at most five minutes
 	@scripts/bench $(if $(filter-out 0,$(QUICK)),--quick) $(BENCH_ARGS)

@@ -9,6 +9,8 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
 RUN_TIME = ("requirements.txt", "requirements-ros.txt")
+VIEWER = "requirements-viewer.txt"
+"""What one program needs at run time, and nothing else."""
 
 
 def named(file: str) -> list[Requirement]:

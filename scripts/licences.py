@@ -13,7 +13,7 @@ from itertools import groupby
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from installed_packages import ROOT, named, needed
+from installed_packages import ROOT, VIEWER, named, needed
 
 PAGE = ROOT / "docs" / "reference" / "licences.md"
 # Not needed to run nodes: what builds the workspace.
@@ -67,6 +67,7 @@ def groups() -> dict[str, set[str]]:
     training = [Requirement("softtissue-training[registration,tensorboard]")]
     found = {
         "estimator": needed(named("requirements.txt")),
+        "viewer": needed(named(VIEWER)),
         "ros": needed([need for need in ros if not BUILDS.match(need.name)]),
         "build": needed(ros),
         "training": needed(training),

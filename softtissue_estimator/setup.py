@@ -18,8 +18,10 @@ ROS_COMMANDS = {
     "demo": "ros.tools.demo",
     "latency": "ros.tools.latency.main",
     "overlay": "ros.overlay.main",
+    "viewer": "ros.viewer.main",
+    "igtl_bridge": "ros.igtl_bridge.main",
 }
-COMMANDS = {"check_organ": "organ.check_organ"}
+COMMANDS = {"check_organ": "organ.check_organ", "import_organ": "segmentation.import_organ"}
 # pip, which builds a wheel, would put them into bin/, where `node` hides another program and there may be no ROS.
 WHEEL_STEPS = {"bdist_wheel", "dist_info", "editable_wheel"}
 

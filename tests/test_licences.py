@@ -7,7 +7,7 @@ from importlib.metadata import distribution, version
 
 import pytest
 
-from installed_packages import ROOT, RUN_TIME, named, needed
+from installed_packages import ROOT, RUN_TIME, VIEWER, named, needed
 from scripts.loading import load_script
 from test_dependencies import CORE, TRAINING, imports
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(
 )
 licences = load_script("licences")
 PAGE = (ROOT / "docs" / "reference" / "licences.md").read_text(encoding="utf-8")
-INSTALLED = sorted(needed([need for file in RUN_TIME for need in named(file)]))
+INSTALLED = sorted(needed([need for file in (*RUN_TIME, VIEWER) for need in named(file)]))
 # Their texts begin so; the licences of Python and of Mozilla, and choices between licences, only mention them.
 GPL_TEXT = re.compile(r"GNU (?:LESSER |LIBRARY |AFFERO )?GENERAL PUBLIC LICENSE\s+Version \d", re.IGNORECASE)
 LICENCE_FILE = re.compile(r"(licen[cs]e|copying|gpl|third-party)[^/]*$", re.IGNORECASE)

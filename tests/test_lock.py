@@ -6,12 +6,12 @@ from importlib.metadata import version
 import pytest
 from packaging.version import Version
 
-from installed_packages import ROOT, RUN_TIME, named, needed, pinned
+from installed_packages import ROOT, RUN_TIME, VIEWER, named, needed, pinned
 
 pytestmark = pytest.mark.skipif(
     not version("torch").endswith("+cpu"), reason="lock files are those of PyTorch's CPU build"
 )
-LOCKS = {file: file.replace(".txt", ".lock") for file in RUN_TIME}
+LOCKS = {file: file.replace(".txt", ".lock") for file in (*RUN_TIME, VIEWER)}
 JAZZY = "requirements-jazzy.lock"
 CONSTRAINTS = pinned("constraints.txt")
 
@@ -19,7 +19,7 @@ CONSTRAINTS = pinned("constraints.txt")
 @pytest.mark.parametrize("lock", LOCKS.values())
 def test_lock_has_the_versions_of_the_constraints(lock):
     locked = {name: Version(pin).public for name, pin in pinned(lock).items()}
-    assert len(locked) > 30
+    assert len(locked) > (10 if lock == LOCKS[VIEWER] else 30)
     assert locked == {name: CONSTRAINTS.get(name) for name in locked}, "run scripts/lock"
 
 
@@ -50,11 +50,11 @@ def test_torch_is_the_cpu_build_and_nothing_of_cuda_is_locked():
     assert [name for name in locked if re.match("nvidia|cuda|triton", name)] == []
 
 
-@pytest.mark.parametrize("ros", [LOCKS["requirements-ros.txt"], JAZZY])
-def test_what_both_locks_hold_is_the_same_so_that_they_install_together(ros):
+@pytest.mark.parametrize("other", [LOCKS["requirements-ros.txt"], JAZZY, LOCKS[VIEWER]])
+def test_what_both_locks_hold_is_the_same_so_that_they_install_together(other):
     """Pip takes only the hashes that both name."""
     entries = re.compile(r"^(\S+) \\\n((?: +--hash=\S+(?: \\)?\n)+)", re.MULTILINE)
-    locks = (LOCKS["requirements.txt"], ros)
+    locks = (LOCKS["requirements.txt"], other)
     both = [dict(entries.findall((ROOT / lock).read_text(encoding="utf-8"))) for lock in locks]
     shared = both[0].keys() & both[1].keys()
     assert any(pin.startswith("numpy==") for pin in shared)

@@ -73,7 +73,8 @@ def test_estimator_brings_its_resources(wheels):
 
 def test_pip_installs_no_command_that_needs_ros(wheels):
     assert read(wheels["softtissue_estimator"], "entry_points.txt").split("\n")[1:-1] == [
-        "check_organ = softtissue_estimator.organ.check_organ:main"
+        "check_organ = softtissue_estimator.organ.check_organ:main",
+        "import_organ = softtissue_estimator.segmentation.import_organ:main",
     ]
     assert read(wheels["training"], "entry_points.txt").split("\n")[1:-1] == [
         "softtissue-train = softtissue_training.__main__:main"

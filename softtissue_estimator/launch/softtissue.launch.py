@@ -1,4 +1,4 @@
-"""Start the estimator, and the overlay and RViz if asked, on a full ROS 2 installation.
+"""Start the estimator, and overlay, viewer, bridge to 3D Slicer and RViz if asked, on a full ROS 2 installation.
 
 ros2 launch softtissue_estimator softtissue.launch.py organ:=/data/my_liver points:=/tracker/points rviz:=true
 """
@@ -41,10 +41,13 @@ TOPICS = {
     "registration": ("registration", "rigid pose of the organ"),
     "registration_with_covariance": ("registration_with_covariance", "the same with its covariance"),
 }
-# Of the overlay, and the topics of the camera that they rename.
+# Of the overlay and the viewer, and the topics of the camera that they rename.
 IMAGES = {
-    "image": ("image", "with overlay: the camera's images; compressed ones are on IMAGE/compressed"),
-    "camera_info": ("camera_info", "with overlay: how the camera maps"),
+    "image": (
+        "image",
+        "for overlay and viewer: the camera's images; compressed ones are on IMAGE/compressed",
+    ),
+    "camera_info": ("camera_info", "for overlay and viewer: how the camera maps"),
 }
 TRUE, FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
@@ -98,28 +101,52 @@ def rviz_configuration(given: dict[str, str]) -> Path:
 
 def overlay(given: dict[str, str]) -> Node:
     """Describe the overlay, which draws the answers of the node on a camera's images."""
+    topics = {topic: given[name] for name, (topic, _) in TOPICS.items() if name != "points"}
+    return listener("overlay", given, topics | images(given))
+
+
+def viewer(given: dict[str, str]) -> Node:
+    """Describe the viewer, which shows the answers of the node and the points that were observed on a live page."""
+    return listener("viewer", given, {"surface_points": given["points"]} | images(given))
+
+
+def igtl_bridge(given: dict[str, str]) -> Node:
+    """Describe the bridge, which sends the answers of the node to 3D Slicer."""
+    return listener("igtl_bridge", given, {})
+
+
+def images(given: dict[str, str]) -> dict[str, str]:
+    """Return the topics of the camera and what they are renamed to."""
+    topics = {topic: given[name] for name, (topic, _) in IMAGES.items()}
+    return topics | {"image/compressed": f"{given['image']}/compressed"}
+
+
+def listener(executable: str, given: dict[str, str], topics: dict[str, str]) -> Node:
+    """Describe a process that hears what the node says; `topics` are those of its own that have other names."""
     chosen: dict[str, Any] = {"estimator_node": given["name"]}
     if given["use_sim_time"]:
         chosen["use_sim_time"] = truth("use_sim_time", given["use_sim_time"])
-    topics = {topic: given[name] for name, (topic, _) in IMAGES.items()}
-    topics["image/compressed"] = f"{given['image']}/compressed"
     return Node(
         package=PACKAGE,
-        executable="overlay",
+        executable=executable,
         namespace=given["namespace"],
         output="screen",
         respawn=truth("respawn", given["respawn"]),
-        parameters=[given["overlay_params"], chosen],
-        remappings=[*topics.items(), *((t, given[n]) for n, (t, _) in TOPICS.items() if n != "points")],
+        parameters=[given[f"{executable}_params"], chosen],
+        remappings=[*topics.items()],
     )
+
+
+# Processes that hear what the node says, by the argument that starts them; NAME_params is their file of parameters.
+LISTENERS = {"overlay": overlay, "viewer": viewer, "igtl_bridge": igtl_bridge}
 
 
 def processes(context: LaunchContext) -> list[Node]:
     """Describe the processes from the arguments as given; whatever is wrong is said before one of them starts."""
     names = (*PARAMETERS, *TOPICS, *IMAGES, "params", "namespace", "name", "log_level", "respawn", "rviz")
-    names = (*names, "overlay", "overlay_params")
+    names = (*names, *LISTENERS, *(f"{name}_params" for name in LISTENERS))
     given = {name: LaunchConfiguration(name).perform(context) for name in names}
-    for name in ("params", "overlay_params"):
+    for name in ("params", *(f"{name}_params" for name in LISTENERS)):
         if not Path(given[name]).is_file():
             raise InvalidInputError(
                 f"argument {name}: expected a file of parameters, found none at {given[name]}"
@@ -137,8 +164,7 @@ def processes(context: LaunchContext) -> list[Node]:
             arguments=["--ros-args", "--log-level", f"{given['name']}:={given['log_level']}"],
         )
     ]
-    if truth("overlay", given["overlay"]):
-        described.append(overlay(given))
+    described += [describe(given) for name, describe in LISTENERS.items() if truth(name, given[name])]
     if truth("rviz", given["rviz"]):
         try:
             get_package_prefix("rviz2")
@@ -171,6 +197,16 @@ def generate_launch_description() -> LaunchDescription:
         "overlay_params": (
             str(share() / "config" / "softtissue_overlay.yaml"),
             "YAML file of the overlay's parameters",
+        ),
+        "viewer": ("false", "start the viewer too: a live page at http://127.0.0.1:8080"),
+        "viewer_params": (
+            str(share() / "config" / "softtissue_viewer.yaml"),
+            "YAML file of the viewer's parameters",
+        ),
+        "igtl_bridge": ("false", "start the bridge to 3D Slicer too: OpenIGTLink on port 18944"),
+        "igtl_bridge_params": (
+            str(share() / "config" / "softtissue_igtl_bridge.yaml"),
+            "YAML file of the bridge's parameters",
         ),
     }
     actions += [

@@ -12,6 +12,7 @@ FILES = (
     "bags/phantom/metadata.yaml",
     "config/fastdds_profile.xml",
     "config/softtissue_estimator.yaml",
+    "config/softtissue_igtl_bridge.yaml",
     "launch/softtissue.launch.py",
     "organs/phantom_liver/organ.yaml",
     "package.xml",
@@ -26,10 +27,19 @@ def executables():
 
 def test_executables_are_where_ros2_run_looks():
     found = {path.name for path in executables().iterdir() if os.access(path, os.X_OK)}
-    assert {"check_organ", "demo", "latency", "node", "replay", "score"} <= found
+    assert {
+        "check_organ",
+        "demo",
+        "igtl_bridge",
+        "import_organ",
+        "latency",
+        "node",
+        "replay",
+        "score",
+    } <= found
 
 
-@pytest.mark.parametrize("name", ["check_organ", "node"])
+@pytest.mark.parametrize("name", ["check_organ", "igtl_bridge", "import_organ", "node"])
 def test_executable_runs_with_the_packages_of_its_interpreter(name):
     result = subprocess.run([executables() / name, "--help"], capture_output=True, text=True, check=False)
     assert (result.returncode, result.stderr) == (0, "")

@@ -6,7 +6,16 @@ from pathlib import Path
 
 from softtissue_estimator.support.resources import resource
 
-ENCLAVES = ("node", "tracker", "registration", "operator", "display", "overlay")
+ENCLAVES = (
+    "node",
+    "tracker",
+    "registration",
+    "operator",
+    "display",
+    "overlay",
+    "viewer",
+    "igtl_bridge",
+)
 # What a profile's parts may say, with the topics of DDS that this gives: (what is published, what is subscribed).
 ACTS = {
     ("topics", "publish"): (["rt{}"], []),

@@ -1,6 +1,7 @@
 """Command lines of the executables as a user types them: what is wrong is one sentence and an exit code."""
 
 import os
+import re
 import subprocess
 import sys
 
@@ -9,7 +10,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from integration.harness import executable
+from integration.harness import NodeProcess, executable
 from softtissue_estimator.support.resources import resource
 
 
@@ -43,38 +44,72 @@ def test_node_refuses_what_it_does_not_know(environment, arguments, hint):
     assert "expected" in line and line.endswith(hint)
 
 
-def overlay_without_opencv(environment, *arguments):
-    program = (
+def without(library, program, environment, *arguments):
+    """Run an executable where a library is not installed."""
+    script = (
         "import sys\n"
-        "sys.modules['cv2'] = None\n"
-        "from softtissue_estimator.ros.overlay.main import main\n"
+        f"sys.modules[{library!r}] = None\n"
+        f"from softtissue_estimator.ros.{program}.main import main\n"
         "main()\n"
     )
-    command = [sys.executable, "-c", program, *arguments]
+    command = [sys.executable, "-c", script, *arguments]
     return subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, timeout=60)
 
 
-def test_overlay_shows_its_help_and_refuses_arguments_before_it_needs_opencv(environment):
-    ended = overlay_without_opencv(environment, "--help")
+@pytest.mark.parametrize(
+    ("program", "library", "parameter", "words"),
+    [
+        ("overlay", "cv2", "margin_mm", "OpenCV and Numba, got no cv2; pip install"),
+        ("viewer", "viser", "maximum_age_s", "viser, got no viser; pip install viser 'rich<15'"),
+        ("igtl_bridge", "pyigtl", "maximum_age_s", "pyigtl, got none; pip install pyigtl"),
+    ],
+)
+def test_program_without_its_library_shows_its_help_and_says_what_to_install(
+    environment, program, library, parameter, words
+):
+    ended = without(library, program, environment, "--help")
     assert (ended.returncode, ended.stderr) == (0, "")
-    assert "--ros-args" in ended.stdout and "margin_mm" in ended.stdout
-    ended = overlay_without_opencv(environment, "-p", "margin_mm:=5.0")
+    assert "--ros-args" in ended.stdout and parameter in ended.stdout
+    ended = without(library, program, environment, "-p", f"{parameter}:=5.0")
     assert ended.returncode == 2
-    assert ended.stderr.splitlines()[-1].endswith("did you mean --ros-args -p margin_mm:=5.0?")
-
-
-def test_overlay_without_opencv_says_what_to_install(environment):
-    ended = overlay_without_opencv(environment)
+    assert ended.stderr.splitlines()[-1].endswith(f"did you mean --ros-args -p {parameter}:=5.0?")
+    ended = without(library, program, environment)
     assert ended.returncode == 2
     (line,) = (line for line in ended.stderr.splitlines() if "[INFO]" not in line)
-    assert line.startswith("error: overlay: expected OpenCV and Numba, got no cv2; pip install")
+    assert line.startswith(f"error: {program}: expected {words}")
 
 
-def test_overlay_refuses_a_parameter_that_it_does_not_know(environment):
-    ended = run(environment, "overlay", "--ros-args", "-p", "margin_m:=0.01")
+@pytest.mark.parametrize(
+    ("program", "library", "parameter", "words"),
+    [
+        ("overlay", "cv2", "margin_m:=0.01", r"expected .*did you mean margin_mm\?$"),
+        ("viewer", "viser", "prot:=8081", r"expected .*did you mean port\?$"),
+        ("viewer", "viser", "port:=99999", "parameter port"),
+        (
+            "viewer",
+            "viser",
+            "host:=no.such.host.invalid",
+            r"host: expected an address of this machine, got no\.such\.host\.invalid",
+        ),
+        ("igtl_bridge", "pyigtl", "prt:=1", r"expected .*did you mean port\?$"),
+        ("igtl_bridge", "pyigtl", "port:=70000", "parameter port"),
+        ("igtl_bridge", "pyigtl", "coordinates:=SPL", "expected one of LPS, RAS"),
+        ("igtl_bridge", "pyigtl", "host:=192.0.2.1", "host, port: expected an address of this machine"),
+    ],
+)
+def test_program_refuses_what_it_cannot_use(environment, program, library, parameter, words):
+    pytest.importorskip(library, reason=f"the packages of {program} are not installed")
+    ended = run(environment, program, "--ros-args", "-p", parameter)
     assert ended.returncode == 2
     (line,) = (line for line in ended.stderr.splitlines() if "[INFO]" not in line)
-    assert "expected" in line and line.endswith("did you mean margin_mm?")
+    assert line.startswith("error: ") and re.search(words, line)
+
+
+def test_viewer_that_others_can_reach_says_so(tmp_path, domain):
+    pytest.importorskip("viser", reason="the packages of requirements-viewer.txt are not installed")
+    parameters = {"host": "0.0.0.0", "port": 0, "buttons": False}
+    with NodeProcess(domain, tmp_path, parameters, [executable("viewer")]) as viewer:
+        viewer.wait_for_text("got 0.0.0.0: whoever reaches this computer sees the page\n")
 
 
 def test_replay_without_a_node_ends_with_a_sentence(environment):

@@ -2,9 +2,12 @@
 
 import json
 import signal
+import socket
 import subprocess
 import sys
 import time
+import urllib.error
+import urllib.request
 
 import numpy as np
 import pytest
@@ -86,6 +89,45 @@ def test_demo_without_a_bag_says_so(tmp_path, environment):
     result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert result.returncode == 1
     assert "expected a bag folder" in result.stderr and "Traceback" not in result.stderr
+
+
+def test_demo_with_a_page_at_a_taken_port_says_so_and_plays_nothing(tmp_path, environment):
+    pytest.importorskip("viser", reason="the packages of requirements-viewer.txt are not installed")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        command = [*DEMO, "--view", "--port", port, "--out", str(tmp_path / "out")]
+        result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    assert f"expected one that is free at 127.0.0.1, got {port}" in result.stdout
+    assert result.stderr == "error: viewer: expected it to serve a page, got exit code 2\n"
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.timeout(200)
+def test_demo_serves_its_page_after_the_recording_until_it_is_interrupted(tmp_path, environment):
+    pytest.importorskip("viser", reason="the packages of requirements-viewer.txt are not installed")
+    out, log = tmp_path / "out", tmp_path / "said"
+    options = ["--estimator", "elastic", "--input", "pairs", "--rate", "3", "--view", "--port", "0"]
+    with log.open("w") as file:
+        demo = subprocess.Popen(
+            [*DEMO, *options, "--out", str(out)], env=environment, stdout=file, stderr=file
+        )
+        end = time.monotonic() + 150.0
+        while "Ctrl-C ends it" not in log.read_text():
+            assert time.monotonic() < end and demo.poll() is None, log.read_text()
+            time.sleep(0.2)
+        address = log.read_text().partition("serving ")[2].split()[0]
+        with urllib.request.urlopen(address, timeout=10.0) as page:
+            assert page.status == 200
+        assert (out / "report.json").is_file()
+        demo.send_signal(signal.SIGINT)
+        demo.wait(30.0)
+    said = log.read_text()
+    assert demo.returncode in (0, 1) and "Traceback" not in said, said  # at this rate a frame may be missed
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(address, timeout=5.0)
 
 
 def test_interrupted_demo_leaves_no_processes(tmp_path, environment):

@@ -14,7 +14,7 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 from integration.harness import Client, NodeProcess, PlainClient, executable, write_organ
 from integration.sros2_policy import ACTS, ENCLAVES, allowed, policy
 
-NODE, OVERLAY = "softtissue_estimator", "softtissue_overlay"
+NODE = "softtissue_estimator"
 ROLES = [enclave for enclave in ENCLAVES if enclave != "node"]
 # Of the node's own expressions: what a full installation has on top.
 ONLY_WITH_TF2 = {"/tf", "/tf_static"}
@@ -51,26 +51,72 @@ def test_node_may_do_what_it_does_and_nothing_else(tmp_path, domain):
     assert may == opened
 
 
-def test_overlay_may_do_what_it_does_and_nothing_else(tmp_path, domain):
-    opened = {}
-    for transport in ("raw", "compressed"):
-        folder = tmp_path / transport
-        folder.mkdir()
-        program, parameters = [executable("overlay")], {"image_transport": transport}
-        with NodeProcess(domain, folder, parameters, program) as overlay, PlainClient(domain) as client:
-            overlay.wait_for_text("drawing on images")
-            client.wait(lambda: OVERLAY in client.node.get_node_names(), "overlay")
-            client.spin(0.5)
-            graph = client.node
-            for act, ask in (
-                ("publish", graph.get_publisher_names_and_types_by_node),
-                ("subscribe", graph.get_subscriber_names_and_types_by_node),
-                ("reply", graph.get_service_names_and_types_by_node),
-            ):
-                opened[act] = opened.get(act, set()) | names(ask(OVERLAY, "/"))
-    may = allowed("overlay")
+IMAGE_TOPICS = {"/image", "/image/compressed", "/camera_info"}
+
+
+@pytest.mark.parametrize(
+    ("program", "library", "says", "parameters", "not_opened"),
+    [
+        (
+            "overlay",
+            "cv2",
+            "drawing on images",
+            {"image_transport": "raw"},
+            {"subscribe": {"/image/compressed"}},
+        ),
+        (
+            "overlay",
+            "cv2",
+            "drawing on images",
+            {"image_transport": "compressed"},
+            {"subscribe": {"/image"}},
+        ),
+        (
+            "viewer",
+            "viser",
+            "serving http",
+            {"port": 0, "image_transport": "raw"},
+            {"subscribe": {"/image/compressed"}},
+        ),
+        (
+            "viewer",
+            "viser",
+            "serving http",
+            {"port": 0, "image_transport": "compressed"},
+            {"subscribe": {"/image"}},
+        ),
+        (
+            "viewer",
+            "viser",
+            "serving http",
+            {"port": 0, "buttons": False},
+            {"subscribe": IMAGE_TOPICS, "request": allowed("viewer")["request"]},
+        ),
+        ("igtl_bridge", "pyigtl", "OpenIGTLink on 127.0.0.1, port", {"port": 0}, {}),
+    ],
+)
+def test_program_may_do_what_it_does_and_nothing_else(
+    tmp_path, domain, program, library, says, parameters, not_opened
+):
+    pytest.importorskip(library, reason=f"the packages of {program} are not installed")
+    name = f"softtissue_{program}"
+    with (
+        NodeProcess(domain, tmp_path, parameters, [executable(program)]) as process,
+        PlainClient(domain) as client,
+    ):
+        process.wait_for_text(says)
+        client.wait(lambda: name in client.node.get_node_names(), program)
+        client.spin(0.5)
+        graph = client.node
+        opened = {
+            "publish": names(graph.get_publisher_names_and_types_by_node(name, "/")),
+            "subscribe": names(graph.get_subscriber_names_and_types_by_node(name, "/")),
+            "reply": names(graph.get_service_names_and_types_by_node(name, "/")),
+            "request": names(graph.get_client_names_and_types_by_node(name, "/")),
+        }
+    may = allowed(program)
     may["subscribe"] -= ONLY_WITH_TF2 - opened["subscribe"]
-    assert may == opened | {"request": set()}
+    assert opened == {act: names - not_opened.get(act, set()) for act, names in may.items()}
 
 
 def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
@@ -90,12 +136,15 @@ def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
     for service in about_points:
         assert who("request", service) == {"display"}
     for topic in ("deformed_points", "deformed_surface", "registration"):
-        assert who("subscribe", f"/{NODE}/{topic}") == {"display", "overlay"}
+        assert who("subscribe", f"/{NODE}/{topic}") == {"display", "overlay", "viewer", "igtl_bridge"}
+    # The viewer has buttons for those, and for no others.
+    buttons = {f"/{NODE}/{name}" for name in ("register", "reset", "load_organ")}
+    assert roles["viewer"]["request"] == buttons
     about_registration = {f"/{NODE}/{name}" for name in ("register", "decide_registration")}
     for service in about_registration:
-        assert who("request", service) == {"registration"}
+        assert who("request", service) - {"viewer"} == {"registration"}
     for service in node["reply"] - about_points - about_registration:
-        assert who("request", service) == {"operator"}, service
+        assert who("request", service) - {"viewer"} == {"operator"}, service
     for topic in node["publish"]:
         assert who("subscribe", topic) - {"tracker", "registration"}, topic
         if topic.startswith(f"/{NODE}/") or topic == "/diagnostics":

@@ -113,6 +113,32 @@ def test_overlay_draws_the_answers_of_the_node_on_the_cameras_images(launch_file
     }
 
 
+def test_viewer_shows_the_answers_of_the_node_and_the_points_that_it_hears(launch_file):
+    given = {"viewer": "true", "name": "liver", "namespace": "room_1", "points": "/tracker/points"}
+    given["image"] = "/scope/left"
+    _, viewer = launch_file.processes(defaults(launch_file) | given)
+    assert (viewer.keywords["executable"], viewer.keywords["namespace"]) == ("viewer", "room_1")
+    file, chosen = viewer.keywords["parameters"]
+    assert Path(file).name == "softtissue_viewer.yaml" and Path(file).is_file()
+    assert chosen == {"estimator_node": "liver"}
+    assert dict(viewer.keywords["remappings"]) == {
+        "surface_points": "/tracker/points",
+        "image": "/scope/left",
+        "image/compressed": "/scope/left/compressed",
+        "camera_info": "camera_info",
+    }
+
+
+def test_bridge_sends_the_answers_of_the_node(launch_file):
+    given = {"igtl_bridge": "true", "name": "liver", "namespace": "room_1", "use_sim_time": "1"}
+    _, bridge = launch_file.processes(defaults(launch_file) | given)
+    assert (bridge.keywords["executable"], bridge.keywords["namespace"]) == ("igtl_bridge", "room_1")
+    file, chosen = bridge.keywords["parameters"]
+    assert Path(file).name == "softtissue_igtl_bridge.yaml" and Path(file).is_file()
+    assert chosen == {"estimator_node": "liver", "use_sim_time": True}
+    assert bridge.keywords["remappings"] == []
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [
@@ -121,6 +147,11 @@ def test_overlay_draws_the_answers_of_the_node_on_the_cameras_images(launch_file
             "params: expected a file of parameters, found none at /nowhere/p.yaml",
         ),
         ({"overlay": "true", "overlay_params": "/nowhere"}, "overlay_params: .* found none at /nowhere"),
+        ({"viewer": "true", "viewer_params": "/nowhere"}, "viewer_params: .* found none at /nowhere"),
+        (
+            {"igtl_bridge": "true", "igtl_bridge_params": "/nowhere"},
+            "igtl_bridge_params: .* found none at /nowhere",
+        ),
         ({"autostart": "maybe"}, "autostart: expected true or false, got 'maybe'"),
         ({"rviz": "true"}, "rviz: expected rviz2 to be installed"),
     ],

@@ -13,8 +13,10 @@ from rclpy.parameter import Parameter
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.igtl.settings import BridgeSettings
 from softtissue_estimator.overlay.settings import OverlaySettings
 from softtissue_estimator.ros import parameters
+from softtissue_estimator.viewer.settings import ViewerSettings
 
 PACKAGE = Path(__file__).parents[2] / "softtissue_estimator"
 
@@ -29,12 +31,16 @@ def test_parameter_file_has_every_parameter_with_its_default():
     assert {n: type(v) for n, v in listed.items()} == {n: type(v) for n, v in defaults.items()}
 
 
-def test_parameter_file_of_the_overlay_has_every_parameter_with_its_default():
-    text = (PACKAGE / "config" / "softtissue_overlay.yaml").read_text()
-    listed, defaults = yaml.safe_load(text)["/**"]["ros__parameters"], dataclasses.asdict(OverlaySettings())
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [("overlay", OverlaySettings), ("viewer", ViewerSettings), ("igtl_bridge", BridgeSettings)],
+)
+def test_parameter_files_of_other_nodes_have_every_parameter_with_its_default(name, settings):
+    text = (PACKAGE / "config" / f"softtissue_{name}.yaml").read_text()
+    listed, defaults = yaml.safe_load(text)["/**"]["ros__parameters"], dataclasses.asdict(settings())
     assert listed == defaults
     assert {n: type(v) for n, v in listed.items()} == {n: type(v) for n, v in defaults.items()}
-    for field in dataclasses.fields(OverlaySettings):
+    for field in dataclasses.fields(settings):
         assert field.metadata["description"] in text
 
 

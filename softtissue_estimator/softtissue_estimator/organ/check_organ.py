@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +66,30 @@ def describe(organ: Organ) -> Iterator[str]:
         )
 
 
+def check_folder(folder: Path, say: Callable[[str], None], *, fill: bool) -> Organ:
+    """Read an organ folder and say what it is.
+
+    Parameters
+    ----------
+    folder : Path
+    say : callable
+        Takes each line.
+    fill : bool
+        Whether it is filled with tetrahedra too, where it names none.
+
+    Raises
+    ------
+    OrganError, MeshError
+        If it cannot be used.
+    """
+    organ = load_organ(folder)
+    for line in describe(organ):
+        say(line)
+    if fill and organ.tetrahedra is None:
+        tetrahedralise(organ.surface, say)
+    return organ
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Check the folder that the command line names."""
     options = parse(sys.argv[1:] if arguments is None else arguments)
@@ -75,13 +99,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 f"--tetrahedra: expected a name that ends in {SUFFIX}, got {options.tetrahedra}"
             )
         with log_lines(_say):
-            organ = load_organ(options.organ)
-            for line in describe(organ):
-                _say(line)
+            fill = options.tetrahedra is None and not options.no_tetrahedra
+            organ = check_folder(options.organ, _say, fill=fill)
             if options.tetrahedra is not None:
                 _write(organ, options.organ, options.tetrahedra)
-            elif not options.no_tetrahedra and organ.tetrahedra is None:
-                tetrahedralise(organ.surface, _say)
     except SoftTissueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -44,15 +44,8 @@ def decimated(mesh: SurfaceMesh, name: str) -> tuple[SurfaceMesh, IntArray]:
     """
     if len(mesh.faces) <= MOST_TRIANGLES:
         return mesh, np.arange(len(mesh.vertices))
-    import fast_simplification  # hardly ever needed
-
-    # Of about unit size and in the middle, so that the products of coordinates lose no digits.
-    middle, extent = mesh.vertices.mean(axis=0), float(np.ptp(mesh.vertices, axis=0).max())
-    vertices, faces = fast_simplification.simplify(
-        (mesh.vertices - middle) / extent, mesh.faces.astype(np.int32), target_count=_KEPT_TRIANGLES
-    )
-    used, compact = np.unique(faces, return_inverse=True)
-    fewer = SurfaceMesh(np.asarray(vertices)[used] * extent + middle, compact.reshape(-1, 3))
+    extent = float(np.ptp(mesh.vertices, axis=0).max())
+    fewer = with_fewer_triangles(mesh, _KEPT_TRIANGLES)
     every = max(1, len(mesh.vertices) // _CHECKED_POINTS)
     squared = igl.point_mesh_squared_distance(mesh.vertices[::every], fewer.vertices, fewer.faces)[0]
     moved = float(np.sqrt(np.max(squared)))
@@ -70,3 +63,16 @@ def decimated(mesh: SurfaceMesh, name: str) -> tuple[SurfaceMesh, IntArray]:
         )
     nearest = cKDTree(fewer.vertices).query(mesh.vertices)[1]
     return fewer, np.asarray(nearest, dtype=np.int64)
+
+
+def with_fewer_triangles(mesh: SurfaceMesh, count: int) -> SurfaceMesh:
+    """Reduce a mesh to about so many triangles by quadric edge collapse."""
+    import fast_simplification  # hardly ever needed
+
+    # Of about unit size and in the middle, so that the products of coordinates lose no digits.
+    middle, extent = mesh.vertices.mean(axis=0), float(np.ptp(mesh.vertices, axis=0).max())
+    vertices, faces = fast_simplification.simplify(
+        (mesh.vertices - middle) / extent, mesh.faces.astype(np.int32), target_count=count
+    )
+    used, compact = np.unique(faces, return_inverse=True)
+    return SurfaceMesh(np.asarray(vertices)[used] * extent + middle, compact.reshape(-1, 3))

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from softtissue_estimator.overlay.buffers import Buffers
 from softtissue_estimator.overlay.camera import Camera
 from softtissue_estimator.overlay.rasteriser import fill_depth, fill_triangles
-from softtissue_estimator.overlay.scene import FloatArray, Numbers
 from softtissue_estimator.overlay.strokes import draw_contour, draw_outlines, find_strength, mix
+from softtissue_estimator.view.structures import FloatArray, Numbers
 
 Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]

@@ -18,7 +18,8 @@ from softtissue_estimator.overlay.drawing import (
 )
 from softtissue_estimator.overlay.labels import Label, write_labels
 from softtissue_estimator.overlay.rasteriser import fill_depth, vertex_normals
-from softtissue_estimator.overlay.scene import FloatArray, Numbers, Order, Placed, Structures
+from softtissue_estimator.overlay.scene import Order, Placed
+from softtissue_estimator.view.structures import FloatArray, Numbers, Structures
 
 TUMOUR = "tumour"
 _MARGIN_STRENGTH = 0.8

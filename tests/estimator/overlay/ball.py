@@ -3,7 +3,8 @@
 import numpy as np
 import trimesh
 
-from softtissue_estimator.overlay.scene import Placed, make_structures
+from softtissue_estimator.overlay.scene import Placed
+from softtissue_estimator.view.structures import make_structures
 
 BLUE, YELLOW = (0.0, 0.0, 1.0), (1.0, 1.0, 0.0)
 

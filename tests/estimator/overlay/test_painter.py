@@ -8,7 +8,7 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.overlay.camera import make_camera
 from softtissue_estimator.overlay.labels import Label, banner_rows, write_banner, write_labels
 from softtissue_estimator.overlay.painter import outline, paint
-from softtissue_estimator.overlay.scene import make_structures
+from softtissue_estimator.view.structures import make_structures
 
 FOCAL = 600.0
 CAMERA = make_camera((640, 480), [FOCAL, 0.0, 319.5, 0.0, FOCAL, 239.5, 0.0, 0.0, 1.0])

@@ -11,13 +11,8 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, RegionOfInterest
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.ros.overlay.images import (
-    ImageBuffer,
-    compressed_message,
-    read_camera,
-    read_compressed_image,
-    read_image,
-)
+from softtissue_estimator.ros.inputs.images import read_camera, read_compressed_image, read_image
+from softtissue_estimator.ros.overlay.images import ImageBuffer, compressed_message
 
 RED = np.array([200, 30, 40], np.uint8)  # red, green, blue
 

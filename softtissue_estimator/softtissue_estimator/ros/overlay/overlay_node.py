@@ -21,19 +21,18 @@ from softtissue_estimator.overlay.settings import OverlaySettings
 from softtissue_estimator.ros import parameters
 from softtissue_estimator.ros.boundary import Boundary
 from softtissue_estimator.ros.bounded import BoundedPlainNode
-from softtissue_estimator.ros.inputs.registration import Registration
-from softtissue_estimator.ros.inputs.registration_topics import RegistrationTopics
-from softtissue_estimator.ros.inputs.transforms import tf_source
-from softtissue_estimator.ros.overlay.answers import KEPT, Answers, View
-from softtissue_estimator.ros.overlay.images import (
-    ImageBuffer,
+from softtissue_estimator.ros.inputs.images import (
     Picture,
     Pixels,
-    compressed_message,
     read_camera,
     read_compressed_image,
     read_image,
 )
+from softtissue_estimator.ros.inputs.registration import Registration
+from softtissue_estimator.ros.inputs.registration_topics import RegistrationTopics
+from softtissue_estimator.ros.inputs.transforms import tf_source
+from softtissue_estimator.ros.overlay.answers import KEPT, Answers, View
+from softtissue_estimator.ros.overlay.images import ImageBuffer, compressed_message
 from softtissue_estimator.ros.overlay.program import PROGRAM
 from softtissue_estimator.support.latest_worker import LatestWorker
 

@@ -16,6 +16,7 @@ from softtissue_estimator.errors import InvalidInputError, MissingDependencyErro
 from softtissue_estimator.organ.organ_file import read_organ_file
 from softtissue_estimator.ros.tools.demo_picture import draw, read_recording
 from softtissue_estimator.ros.tools.demo_runs import DRAWN, SCENE, UNREGISTERED, Run
+from softtissue_estimator.ros.tools.demo_viewer import viewing
 from softtissue_estimator.ros.tools.processes import executable, process, relayed_process
 from softtissue_estimator.ros.tools.scoring import failures, table
 from softtissue_estimator.support.resources import (
@@ -42,6 +43,8 @@ class Options:
     out: Path
     parameters: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ("pairs",)
+    view: bool = False
+    port: int = 8080
 
 
 def parse(arguments: list[str]) -> Options:
@@ -70,6 +73,10 @@ def parse(arguments: list[str]) -> Options:
         help="recording to play, may be repeated: clouds with correspondences, or the bundled scene (default: all but"
         f" {UNREGISTERED}; with --bag or --organ pairs alone)",
     )
+    parser.add_argument(
+        "--view", action="store_true", help="show a live page, until Ctrl-C; needs the viewer's extra"
+    )
+    parser.add_argument("--port", type=int, default=8080, help="of that page (default 8080)")
     given = parser.parse_args(arguments)
     own = given.bag is not None or given.organ is not None
     scenes = () if own else tuple(name for name in SCENE if name != UNREGISTERED)
@@ -81,6 +88,8 @@ def parse(arguments: list[str]) -> Options:
         rate=given.rate,
         out=given.out,
         parameters=tuple(given.parameter),
+        view=given.view,
+        port=given.port,
     )
 
 
@@ -125,7 +134,8 @@ def play(run: Run, options: Options) -> dict[str, Any]:
         score += ["--snapshot-stamp", str(run.snapshot_ns)]
     if run.view_ns:
         score += ["--view", str(folder / VIEW), "--view-stamps", *map(str, run.view_ns)]
-    replay = [str(executable("replay")), str(run.bag), "--rate", str(options.rate), "--subscribers", "2"]
+    replay = [str(executable("replay")), str(run.bag), "--rate", str(options.rate)]
+    replay += ["--subscribers", str(3 if options.view else 2)]
     replay += ["--timeout", str(START_TIMEOUT_S), "--report", str(folder / "replay.json")]
     replay += ["--wait-for", run.clouds, "--ros-args", *played_as]
     with (
@@ -267,7 +277,9 @@ def main() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        code = run(parse(sys.argv[1:]))
+        options = parse(sys.argv[1:])
+        with viewing(options.port if options.view else None):
+            code = run(options)
     except SoftTissueError as error:
         print(f"error: {error}", file=sys.stderr)
         code = 1

@@ -15,11 +15,11 @@ from softtissue_estimator.overlay.labels import write_lines
 from softtissue_estimator.overlay.libraries import cv2
 from softtissue_estimator.overlay.painter import outline, paint
 from softtissue_estimator.overlay.scene import Placed
+from softtissue_estimator.ros.inputs.answers import read_structures
 from softtissue_estimator.ros.inputs.conversions import read_cloud, stamp_ns
+from softtissue_estimator.ros.inputs.images import read_camera, read_compressed_image
 from softtissue_estimator.ros.inputs.registration import transform_points
 from softtissue_estimator.ros.outputs.structures import structures_message
-from softtissue_estimator.ros.overlay.answers import read_structures
-from softtissue_estimator.ros.overlay.images import read_camera, read_compressed_image
 from softtissue_estimator.ros.tools.bag import Bag
 
 FloatArray = NDArray[np.float64]

@@ -56,8 +56,8 @@ class KeptView:
 
     def take(self, message: Any, surface: bool = False) -> None:
         """Take an answer, or the organ's surface that belongs to it."""
+        from softtissue_estimator.ros.inputs.answers import read_points
         from softtissue_estimator.ros.inputs.conversions import stamp_ns
-        from softtissue_estimator.ros.overlay.answers import read_points
 
         stamp = stamp_ns(message.header.stamp)
         if stamp in self._stamps:

@@ -214,7 +214,7 @@ class Listener:
         if self.camera_info is None:
             return
         try:
-            from softtissue_estimator.ros.overlay.images import read_camera
+            from softtissue_estimator.ros.inputs.images import read_camera
 
             camera = read_camera(self.camera_info, rectified=False)
         except MissingDependencyError:
