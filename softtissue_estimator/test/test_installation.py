@@ -26,7 +26,7 @@ def executables():
 
 def test_executables_are_where_ros2_run_looks():
     found = {path.name for path in executables().iterdir() if os.access(path, os.X_OK)}
-    assert {"check_organ", "demo", "latency", "node", "replay", "score"} <= found
+    assert {"check_organ", "demo", "latency", "node", "record", "replay", "report", "score"} <= found
 
 
 @pytest.mark.parametrize("name", ["check_organ", "node"])
