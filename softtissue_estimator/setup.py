@@ -15,6 +15,8 @@ ROS_COMMANDS = {
     "node": "ros.node",
     "replay": "ros.tools.replay",
     "score": "ros.tools.score",
+    "record": "ros.tools.record.main",
+    "report": "ros.tools.report.main",
     "demo": "ros.tools.demo",
     "latency": "ros.tools.latency.main",
     "overlay": "ros.overlay.main",

@@ -34,7 +34,9 @@ def test_executables_are_where_ros2_run_looks():
         "import_organ",
         "latency",
         "node",
+        "record",
         "replay",
+        "report",
         "score",
     } <= found
 

@@ -44,12 +44,16 @@ def test_node_refuses_what_it_does_not_know(environment, arguments, hint):
     assert "expected" in line and line.endswith(hint)
 
 
-def without(library, program, environment, *arguments):
+PLACES = {"report": "tools.report"}
+"""Rooms of executables that are not called as they are."""
+
+
+def without(missing, name, environment, *arguments):
     """Run an executable where a library is not installed."""
     script = (
         "import sys\n"
-        f"sys.modules[{library!r}] = None\n"
-        f"from softtissue_estimator.ros.{program}.main import main\n"
+        f"sys.modules['{missing}'] = None\n"
+        f"from softtissue_estimator.ros.{PLACES.get(name, name)}.main import main\n"
         "main()\n"
     )
     command = [sys.executable, "-c", script, *arguments]
@@ -116,3 +120,52 @@ def test_replay_without_a_node_ends_with_a_sentence(environment):
     ended = run(environment, "replay", str(resource("bags", "phantom")), "--timeout", "0.5")
     assert ended.returncode == 1, ended.stderr
     assert ended.stderr.splitlines()[-1].startswith("error: /surface_points: expected 1 subscriber(s), got 0")
+
+
+def errors(ended):
+    """What an executable says on stderr besides its progress."""
+    return [line for line in ended.stderr.replace("\r", "\n").splitlines() if line.startswith("error: ")]
+
+
+@pytest.mark.parametrize("name", ["record", "report"])
+def test_record_and_report_show_their_help_and_want_a_place(environment, name):
+    ended = run(environment, name, "--help")
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "--out" in ended.stdout
+    ended = run(environment, name, *(["bag"] if name == "report" else []))
+    assert ended.returncode == 2 and "required: --out" in ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("bag", "words"),
+    [
+        ("nowhere", "nowhere: expected a bag folder, .mcap or .db3 file, got nothing there"),
+        (str(resource("bags", "phantom")), "expected messages of softtissue_msgs/msg/EstimatorStatus"),
+    ],
+)
+def test_report_refuses_what_is_no_recording_of_the_node(environment, tmp_path, bag, words):
+    ended = run(environment, "report", bag, "--out", str(tmp_path))
+    assert ended.returncode == 2 and "Traceback" not in ended.stderr
+    (line,) = errors(ended)
+    assert words in line
+
+
+@pytest.mark.parametrize(("option", "value"), [("--hold", "0"), ("--at", "nan"), ("--at", "soon")])
+def test_report_refuses_times_that_are_none(environment, tmp_path, option, value):
+    ended = run(environment, "report", "bag", "--out", str(tmp_path), option, value)
+    assert ended.returncode == 2 and option in ended.stderr.splitlines()[-1]
+
+
+@pytest.mark.parametrize("missing", ["jinja2", "matplotlib"])
+def test_report_says_what_to_install(environment, tmp_path, missing):
+    ended = without(missing, "report", environment, "bag", "--out", str(tmp_path))
+    assert ended.returncode == 2
+    (line,) = errors(ended)
+    assert line.startswith(f"error: report: expected Jinja2 and matplotlib, got no {missing}; pip install")
+
+
+def test_record_refuses_a_folder_that_exists(environment, tmp_path):
+    ended = run(environment, "record", "--out", str(tmp_path))
+    assert (ended.returncode, "Traceback" in ended.stderr) == (2, False)
+    (line,) = errors(ended)
+    assert line.endswith("expected a new folder, got one that exists")

@@ -36,9 +36,9 @@ Array = NDArray[np.float64]
 Direction = tuple[float, float, float]
 
 _PANEL = (1000, 1400)  # rows, columns drawn; halved to smooth edges
-_OVERSAMPLING = 2  # pixels drawn over pixels shown, along each side
+OVERSAMPLING = 2  # pixels drawn over pixels shown, along each side
 _ORGAN_COLOUR = np.array([0.82, 0.45, 0.38])
-_TRACKED_COLOUR = np.array([0.16, 0.66, 0.42])
+TRACKED_COLOUR = np.array([0.16, 0.66, 0.42])
 _ATTACHED_COLOUR = np.array([0.35, 0.35, 0.40])
 _TRACKED_RADIUS_M = 0.005  # a vertex nearer than this to a tracked point is coloured as tracked
 INK = "#1c1c22"
@@ -90,9 +90,9 @@ def draw_before(axes: Axes, scene: Scene, camera: Camera) -> None:
     colours = [np.array(structure.colour[:3]) for structure in organ.structures]
     nearest, _ = cKDTree(scene.reference).query(organ.surface.vertices)
     tracked = (np.asarray(nearest) < _TRACKED_RADIUS_M).astype(float)
-    image = _glass(organ.surface, camera, np.stack([tracked, organ.attached.astype(float)], axis=1))
+    image = glass(organ.surface, camera, np.stack([tracked, organ.attached.astype(float)], axis=1))
     _show(axes, behind_glass(image, draw_solid(meshes, colours, camera)), "Before the operation")
-    entries = [("tracked part of the surface", _TRACKED_COLOUR), ("attached", _ATTACHED_COLOUR)]
+    entries = [("tracked part of the surface", TRACKED_COLOUR), ("attached", _ATTACHED_COLOUR)]
     names = [(s.name, np.array(s.colour[:3])) for s in organ.structures]
     legend(axes, [_patch(name, colour) for name, colour in names + entries])
 
@@ -104,13 +104,13 @@ def draw_during(axes: Axes, scene: Scene, camera: Camera) -> None:
     colours = [np.array(structure.colour[:3]) for structure in scene.organ.structures]
     image = draw_solid(scene.structures(scene.estimated), colours, camera)
     if scene.surface is not None:
-        image = behind_glass(_glass(scene.surface, camera), image)
+        image = behind_glass(glass(scene.surface, camera), image)
     _show(axes, image, "During the operation, estimated")
     _outline(axes, [scene.organ.surface], camera, _GREY, 1.1, "dashed")
     points = on_panel(scene.observed, camera)
-    axes.scatter(points[:, 0], points[:, 1], s=3.5, color=_TRACKED_COLOUR, alpha=0.75, linewidths=0.0)
+    axes.scatter(points[:, 0], points[:, 1], s=3.5, color=TRACKED_COLOUR, alpha=0.75, linewidths=0.0)
     handles: list[Any] = [
-        Line2D([], [], marker="o", ls="", ms=4, color=tuple(_TRACKED_COLOUR), label="observed points"),
+        Line2D([], [], marker="o", ls="", ms=4, color=tuple(TRACKED_COLOUR), label="observed points"),
         Line2D([], [], ls="--", color=_GREY, label="organ before"),
     ]
     if scene.true is not None:
@@ -150,7 +150,7 @@ def draw_in_colours(
     parts = [colour_map(part / top)[:, :3] for part in scene.split(values)]
     image = draw_solid(scene.structures(scene.estimated), parts, camera)
     if scene.surface is not None:
-        image = behind_glass(_glass(scene.surface, camera, faint=True), image)
+        image = behind_glass(glass(scene.surface, camera, faint=True), image)
     _show(axes, image, title)
     bar = axes.inset_axes((0.62, 0.06, 0.34, 0.03))
     drawn = ScalarMappable(Normalize(0.0, top), colour_map)
@@ -161,7 +161,7 @@ def draw_in_colours(
 
 def on_panel(points: Array, camera: Camera) -> Array:
     """Project points ``(n, 3)`` m to column and row of a panel, ``(n, 2)``."""
-    return camera.project(points)[:, :2] / _OVERSAMPLING
+    return camera.project(points)[:, :2] / OVERSAMPLING
 
 
 def legend(axes: Axes, handles: list[Any]) -> None:
@@ -177,7 +177,7 @@ def legend(axes: Axes, handles: list[Any]) -> None:
         )
 
 
-def _glass(surface: SurfaceMesh, camera: Camera, flags: Array | None = None, *, faint: bool = False) -> Array:
+def glass(surface: SurfaceMesh, camera: Camera, flags: Array | None = None, *, faint: bool = False) -> Array:
     """Draw the organ's near side as if of glass; `flags` ``(n, 2)`` mark tracked and attached vertices (0 or 1)."""
     near: Fragments = rasterise_triangles(surface, camera, flags)
     colour = np.broadcast_to(_ORGAN_COLOUR, (*camera.shape, 3))
@@ -187,7 +187,7 @@ def _glass(surface: SurfaceMesh, camera: Camera, flags: Array | None = None, *, 
         tracked, attached = near.values[..., :1], near.values[..., 1:2]
         far_attached = rasterise_triangles(surface, camera, flags, farthest=True).values[..., 1:2]
         dark = np.clip(attached + 0.45 * far_attached, 0.0, 1.0) * (1.0 - tracked)
-        colour = colour * (1.0 - tracked) + _TRACKED_COLOUR * tracked
+        colour = colour * (1.0 - tracked) + TRACKED_COLOUR * tracked
         colour = colour * (1.0 - dark) + _ATTACHED_COLOUR * dark
         alpha = np.clip(alpha + 0.12 * tracked + 0.25 * dark, 0.0, 0.85)
     image = np.zeros((*camera.shape, 4))
@@ -198,7 +198,7 @@ def _glass(surface: SurfaceMesh, camera: Camera, flags: Array | None = None, *, 
 
 
 def _show(axes: Axes, image: Array, title: str) -> None:
-    small = reduce_image(image, _OVERSAMPLING)
+    small = reduce_image(image, OVERSAMPLING)
     axes.imshow(small, interpolation="none")
     axes.set_title(title, fontsize=14, color=INK, pad=8)
     axes.set_xlim(0, small.shape[1])
@@ -215,7 +215,7 @@ def _outline(
     for part in nearness:
         covered = np.isfinite(part) & (part >= front)
         image = np.concatenate([np.ones((*covered.shape, 3)), covered[..., None].astype(float)], axis=-1)
-        alpha = reduce_image(image, _OVERSAMPLING)[..., 3]
+        alpha = reduce_image(image, OVERSAMPLING)[..., 3]
         if alpha.size and alpha.max() > 0.5:
             rows, columns = alpha.shape
             x, y = np.arange(columns) + 0.5, np.arange(rows) + 0.5

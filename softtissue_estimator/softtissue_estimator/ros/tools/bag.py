@@ -3,7 +3,7 @@
 import importlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -97,7 +97,7 @@ class Bag:
 
     def _checked_kind(self, connection: Any) -> Any:
         kind = message_type(connection.msgtype)
-        installed = _installed_hash(connection.msgtype)
+        installed = installed_hash(connection.msgtype)
         recorded = self._recorded_hash(connection.msgtype)
         if None not in (installed, recorded) and installed != recorded:
             raise InvalidInputError(
@@ -113,15 +113,20 @@ class Bag:
         except Exception as error:  # of a definition that may hold anything
             raise InvalidInputError(_damaged(self._path, error)) from error
 
-    def messages(self) -> Iterator[tuple[Any, int, bytes]]:
+    def messages(self, connections: Collection[Any] = ()) -> Iterator[tuple[Any, int, bytes]]:
         """Yield connection, time of recording (nanoseconds) and serialised message, in order of time.
+
+        Parameters
+        ----------
+        connections : collection
+            Of `connections`, those whose messages are wanted; all if there are none.
 
         Raises
         ------
         InvalidInputError
             Where the bag is damaged.
         """
-        recorded = self._reader.messages()
+        recorded = self._reader.messages(connections)
         while True:
             try:
                 connection, recorded_ns, data = next(recorded)
@@ -139,7 +144,7 @@ def _damaged(path: Path, error: Exception) -> str:
     )
 
 
-def _installed_hash(name: str) -> str | None:
+def installed_hash(name: str) -> str | None:
     """Return what identifies a definition; None where it is not known, as before ROS 2 Iron."""
     package, _, kind = name.partition("/msg/")
     try:

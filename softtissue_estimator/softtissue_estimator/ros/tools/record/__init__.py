@@ -1,0 +1,1 @@
+"""Executable `record`: topics into a bag."""

@@ -1,0 +1,1 @@
+"""Executable `report`: one HTML page of a recorded operation."""

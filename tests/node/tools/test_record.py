@@ -1,0 +1,152 @@
+"""Bags that are recorded: their definitions, their quality of service, and disks that take no more."""
+
+import resource
+import shutil
+import signal
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
+pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from node.tools.answered_bag import status
+from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.ros.tools.bag import Bag, qos_of
+from softtissue_estimator.ros.tools.record import bag_file
+from softtissue_estimator.ros.tools.record.bag_file import BagFile
+from softtissue_estimator.ros.tools.record.definitions import definition_of
+from softtissue_estimator.ros.tools.record.recorder import accepting
+
+STATUS = "softtissue_msgs/msg/EstimatorStatus"
+RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
+KEPT, VOLATILE = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
+
+
+def offer(reliability=RELIABLE, durability=VOLATILE):
+    return QoSProfile(depth=1, reliability=reliability, durability=durability)
+
+
+OFFER = offer()
+
+
+def record(folder, count=3, offers=(OFFER,)):
+    """Record as many messages; return their bytes."""
+    sent = [serialize_message(status(number)) for number in range(count)]
+    with BagFile(folder) as bag:
+        connection = bag.connect("/status", STATUS, offers)
+        for number, data in enumerate(sent):
+            bag.write(connection, 1000 + number, data)
+    return sent
+
+
+def test_what_was_recorded_is_read_again(tmp_path):
+    sent = record(tmp_path / "above" / "bag")
+    with Bag(tmp_path / "above" / "bag") as bag:
+        (connection,) = bag.connections
+        assert bag.kind_of(connection).__name__ == "EstimatorStatus"
+        told = [(c.topic, time_ns, data) for c, time_ns, data in bag.messages()]
+    assert told == [("/status", 1000 + number, data) for number, data in enumerate(sent)]
+
+
+@pytest.mark.parametrize(
+    "name", [STATUS, "sensor_msgs/msg/PointCloud2", "geometry_msgs/msg/PoseWithCovarianceStamped"]
+)
+def test_definition_is_whole_and_has_the_hash_of_its_text(name):
+    text, known = definition_of(name)
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, name))
+    assert store.hash_rihs01(name) == known
+
+
+def test_type_that_is_not_installed_is_a_sentence():
+    with pytest.raises(InvalidInputError, match="expected an installed message type"):
+        definition_of("nobody_msgs/msg/Nothing")
+
+
+def test_quality_of_service_is_kept_for_whoever_plays_the_bag(tmp_path):
+    for number, one in enumerate([offer(), offer(durability=KEPT), offer(BEST_EFFORT)]):
+        record(tmp_path / str(number), offers=[one])
+        with Bag(tmp_path / str(number)) as bag:
+            played = qos_of(bag.connections[0], 1)
+        assert (played.reliability, played.durability) == (one.reliability, one.durability)
+
+
+def test_offers_of_several_publishers_are_recorded_once_each(tmp_path):
+    record(tmp_path / "bag", offers=[offer(), offer(BEST_EFFORT), offer()])
+    with Bag(tmp_path / "bag") as bag:
+        profiles = bag.connections[0].ext.offered_qos_profiles
+    assert [(p.reliability, p.durability) for p in profiles] == [
+        (QosReliability.RELIABLE, QosDurability.VOLATILE),
+        (QosReliability.BEST_EFFORT, QosDurability.VOLATILE),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("offers", "expected"),
+    [
+        ([offer()], (RELIABLE, VOLATILE)),
+        ([offer(durability=KEPT)], (RELIABLE, KEPT)),
+        ([offer(), offer(durability=KEPT)], (RELIABLE, VOLATILE)),
+        ([offer(), offer(BEST_EFFORT)], (BEST_EFFORT, VOLATILE)),
+    ],
+)
+def test_subscription_asks_for_what_every_publisher_offers(offers, expected):
+    wanted = accepting(offers)
+    assert (wanted.reliability, wanted.durability) == expected
+    assert accepting([*offers, wanted]) == wanted
+
+
+@pytest.mark.parametrize("kind", ["folder", "file"])
+def test_bag_that_exists_is_a_sentence_and_stays(tmp_path, kind):
+    place = tmp_path / "bag"
+    place.mkdir() if kind == "folder" else place.write_text("kept")
+    with pytest.raises(InvalidInputError, match="expected a new folder, got one that exists"):
+        BagFile(place)
+    assert place.exists()
+
+
+def test_place_that_cannot_be_written_is_a_sentence(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InvalidInputError, match="expected a disk that can be written, got: Not a directory"):
+        BagFile(tmp_path / "file" / "bag")
+
+
+def test_bag_without_messages_is_removed(tmp_path):
+    with BagFile(tmp_path / "bag") as bag:
+        bag.connect("/status", STATUS, [offer()])
+    assert not (tmp_path / "bag").exists()
+
+
+def test_recording_ends_while_there_is_room_for_its_index(tmp_path, monkeypatch):
+    free = [bag_file.SPARE_BYTES + 1, bag_file.SPARE_BYTES - 1]
+    used = shutil._ntuple_diskusage(1, 1, 0)
+    monkeypatch.setattr(bag_file.shutil, "disk_usage", lambda _folder: used._replace(free=free.pop(0)))
+
+    def filled():
+        with BagFile(tmp_path / "bag") as bag:
+            bag.write(bag.connect("/status", STATUS, [offer()]), 1000, serialize_message(status(0)))
+            bag.check_space()
+            bag.check_space()
+
+    with pytest.raises(InvalidInputError, match="expected 64 MiB of free disk, got 63; what was recorded"):
+        filled()
+    with Bag(tmp_path / "bag") as bag:
+        assert bag.message_count == 1
+
+
+def test_disk_that_takes_no_more_is_a_sentence(tmp_path):
+    old, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, old[1]))
+        with pytest.raises(
+            InvalidInputError, match="expected a disk that can be written, got: File too large"
+        ):
+            record(tmp_path / "bag", count=3000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+        signal.signal(signal.SIGXFSZ, handler)
