@@ -13,6 +13,8 @@ FILES = (
     "config/fastdds_profile.xml",
     "config/softtissue_estimator.yaml",
     "config/softtissue_igtl_bridge.yaml",
+    "config/softtissue_overlay.yaml",
+    "config/softtissue_viewer.yaml",
     "launch/softtissue.launch.py",
     "organs/phantom_liver/organ.yaml",
     "package.xml",
@@ -34,14 +36,16 @@ def test_executables_are_where_ros2_run_looks():
         "import_organ",
         "latency",
         "node",
+        "overlay",
         "record",
         "replay",
         "report",
         "score",
+        "viewer",
     } <= found
 
 
-@pytest.mark.parametrize("name", ["check_organ", "igtl_bridge", "import_organ", "node"])
+@pytest.mark.parametrize("name", ["check_organ", "igtl_bridge", "import_organ", "node", "overlay", "viewer"])
 def test_executable_runs_with_the_packages_of_its_interpreter(name):
     result = subprocess.run([executables() / name, "--help"], capture_output=True, text=True, check=False)
     assert (result.returncode, result.stderr) == (0, "")
