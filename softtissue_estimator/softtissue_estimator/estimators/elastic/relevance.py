@@ -45,6 +45,16 @@ class Variances:
         """Return those of some loads alone."""
         return Variances(self.loads[loads], self.fields)
 
+    def going_on(self, first_fields: Tensor) -> "Variances":
+        """Return the same, with other fields where these belong to another kind of observation.
+
+        Parameters
+        ----------
+        first_fields : (f,) float64 m^2
+            Variances with which the fields of the next observation begin where nothing is known of them.
+        """
+        return self if len(self.fields) == len(first_fields) else Variances(self.loads, first_fields)
+
     def at_least(self, share: float) -> "Variances":
         """Return variances of the loads that are at least a share of the largest."""
         return Variances(self.loads.clamp_min(share * float(self.loads.max())), self.fields)

@@ -139,7 +139,8 @@ class Solver:
         observed = self._observation.about(predicted, self.registration, REACH_M)
         weight, sigma = np.ones(len(observed.precision)), start.model_sigma_m
         least = LEAST_START_SHARE * self.prior.variances(start.tangent, observed.nodes, start.loads)
-        variances = start.variances.at_least_each(least)
+        earlier = start.variances.going_on(self._first_fields)
+        variances = earlier.at_least_each(least)
         for turn in range(self._observation.turns):
             explain = partial(
                 self._explain,
@@ -151,7 +152,7 @@ class Solver:
                 updates=1,
                 ratio=start.ratio,
                 # What is larger than all errors before is a motion of the organ.
-                most_fields=start.variances.fields,
+                most_fields=earlier.fields,
             )
             posterior = self._plausible(explain, sigma, observed)
             if not turn:  # the error of the model is still that of before
@@ -250,7 +251,7 @@ class Solver:
             begin = posterior.amplitudes.prior
         else:
             least = LEAST_START_SHARE * self.prior.variances(tangent, observed.nodes)
-            begin = variances.at_least_each(least)
+            begin = variances.going_on(self._first_fields).at_least_each(least)
         return self._plausible(
             lambda sigma: self._explain(
                 observed, tangent, registration, begin, sigma, weight, VARIANCE_UPDATES, ratio

@@ -15,6 +15,7 @@ from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
 from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody
 from softtissue_estimator.estimators.elastic.solver import Solver
+from softtissue_estimator.observation.bare_cloud import BareCloud
 from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.organ.mesh import sample_faces
 
@@ -67,6 +68,28 @@ def test_answers_of_an_organ_at_rest_come_closer_to_those_of_a_frame_on_its_own(
     assert first > 2e-4  # linear about the rigid motion alone
     # Not all the way: no load bends an organ quite like that, and several explain it as well.
     until(lambda: difference(stream.estimate(observed(3.0)), expected) < 0.75 * first)
+
+
+def test_a_stream_may_go_on_with_bare_clouds_and_with_pairs_again(stream):
+    """Each kind has errors of its own; the organ, where it is held and how it is pushed stay the same."""
+    shown, noise = 1.5, np.full(len(observed(0.0).reference), 0.0005)
+    answers = []
+    for frame in range(18):
+        seen = dataclasses.replace(observed(shown), stamp_s=1.0 + 0.2 * frame)
+        if 6 <= frame < 12:
+            bare = BareCloud(seen.reference + seen.displacement, noise, stamp_s=seen.stamp_s)
+            answers.append(stream.estimate_bare(bare))
+        else:
+            answers.append(stream.estimate(seen))
+    points = observed(0.0).reference
+    truth = bent(points, shown)
+    error = [
+        np.linalg.norm(answer.displacement_at(points)[0] - truth, axis=1).mean() for answer in answers[5::6]
+    ]
+    moved = np.linalg.norm(truth, axis=1).mean()
+    # A bare cloud says nothing of how far the organ slid.
+    assert max(error[0], error[2]) < 0.1 * moved and error[1] < 0.35 * moved
+    assert [answer.diagnosis.doubts for answer in answers[5::6]] == [()] * 3
 
 
 def test_answering_never_waits_for_a_factorisation(stream, monkeypatch):
