@@ -19,6 +19,7 @@ from std_msgs.msg import Header
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.inputs import conversions
+from softtissue_estimator.ros.inputs.cloud_layout import columns
 from softtissue_estimator.ros.inputs.correspondences import read_correspondences
 from softtissue_estimator.ros.outputs import serialised
 
@@ -243,3 +244,12 @@ def test_stamp_of_a_serialised_message():
     assert (changed.header.stamp.sec, changed.header.stamp.nanosec) == (99, 1)
     changed.header.stamp = message.header.stamp
     assert changed == message
+
+
+def test_columns_of_different_types_bear_numbers_that_are_none():
+    """A signalling NaN, which only a damaged message has: what is no number is told later, in a sentence."""
+    table = np.zeros((1, 3), dtype=[("x", "<f4"), ("y", "<f8"), ("z", "<f4")])
+    table.view(np.uint8).reshape(1, 3, 16)[0, 1, :4] = np.frombuffer(bytes.fromhex("0100a07f"), np.uint8)
+    with np.errstate(all="raise"):
+        found = columns(table, ("x", "y", "z"))
+    np.testing.assert_array_equal(np.isnan(found), [[False] * 3, [True, False, False], [False] * 3])
