@@ -48,7 +48,8 @@ def columns(table: NDArray[Any], names: tuple[str, ...]) -> NDArray[np.floating]
         strides = (*first.strides, int(gaps.pop()))
         result = np.lib.stride_tricks.as_strided(first, (*first.shape, len(names)), strides)
     else:
-        with np.errstate(invalid="ignore", over="ignore"):  # of what is no number; such rows are left out later
+        # What is no number is left out later.
+        with np.errstate(invalid="ignore", over="ignore"):
             result = np.stack([table[name] for name in names], axis=-1)
     result = result.reshape(-1, len(names))  # copies where rows are padded
     result.flags.writeable = False
