@@ -37,12 +37,26 @@ class Operator(PlainClient):
 
     def __init__(self, domain):
         super().__init__(domain)
-        self.monitored = []
+        self.monitored, self.clouds = [], None
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self.monitored.append, 10)
 
     def change(self, transition):
         request = ChangeState.Request(transition=Transition(id=transition))
         return self.call(ChangeState, "change_state", request).success
+
+    def reach(self, wanted):
+        """Go to a state from wherever the tests before, if they ran here, left it."""
+        states = ["unconfigured", "inactive", "active"]
+        up = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
+        down = Transition.TRANSITION_CLEANUP, Transition.TRANSITION_DEACTIVATE
+        while (now := self.state()) != wanted:
+            at, end = states.index(now), states.index(wanted)
+            assert self.change(up[at] if at < end else down[at - 1])
+
+    def camera(self):
+        """What publishes clouds; it appears when it is first asked for."""
+        self.clouds = self.clouds or self.node.create_publisher(PointCloud2, "surface_points", 10)
+        return self.clouds
 
     def state(self):
         return self.call(GetState, "get_state", GetState.Request()).current_state.label
@@ -107,6 +121,7 @@ def test_unknown_estimator_is_refused_at_once(operator):
 
 
 def test_monitors_hear_why_it_could_not_be_configured(operator, folder):
+    operator.reach("unconfigured")
     assert operator.set("organ", str(folder / "nowhere")).successful
     assert not operator.change(Transition.TRANSITION_CONFIGURE)
     level, message, _ = operator.diagnosed("nowhere")
@@ -115,6 +130,7 @@ def test_monitors_hear_why_it_could_not_be_configured(operator, folder):
 
 
 def test_services_answer_while_it_is_configured(operator):
+    operator.reach("unconfigured")
     client = operator.node.create_client(ChangeState, "softtissue_estimator/change_state")
     operator.wait(client.service_is_ready, "service change_state")
     request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
@@ -129,11 +145,11 @@ def test_services_answer_while_it_is_configured(operator):
 
 
 def test_publisher_that_appears_late_has_its_time(operator):
-    assert operator.change(Transition.TRANSITION_ACTIVATE)
+    operator.reach("active")
     heard = []
     operator.node.create_subscription(EstimatorStatus, "softtissue_estimator/status", heard.append, 10)
     operator.spin(1.5 * TIMEOUT_S)
-    operator.clouds = operator.node.create_publisher(PointCloud2, "surface_points", 10)
+    operator.camera()
     operator.spin(0.8 * TIMEOUT_S)
     assert heard == []
     operator.wait(lambda: heard, "complaint of silence", 4.0)
@@ -141,22 +157,22 @@ def test_publisher_that_appears_late_has_its_time(operator):
 
 
 def test_late_comers_have_the_newest_status_and_markers(operator, folder):
+    operator.reach("active")
+    operator.wait(lambda: operator.camera().get_subscription_count(), "the node as a listener")
     stamp = next(stamps)
-    operator.clouds.publish(Scene(folder).cloud(stamp))
+    operator.camera().publish(Scene(folder).cloud(stamp))
     assert operator.diagnosed("ok")[0] == DiagnosticStatus.OK
-    statuses, markers, operator.described = [], [], []
-    operator.node.create_subscription(
-        Structures, "softtissue_estimator/structures", operator.described.append, KEPT
-    )
+    statuses, markers, described = [], [], []
+    operator.node.create_subscription(Structures, "softtissue_estimator/structures", described.append, KEPT)
     operator.node.create_subscription(EstimatorStatus, "softtissue_estimator/status", statuses.append, KEPT)
     operator.node.create_subscription(MarkerArray, "softtissue_estimator/markers", markers.append, KEPT)
     # The first of the markers is what the beginning of the activity left there: nothing to see.
     operator.wait(
-        lambda: statuses and operator.described and markers and len(markers[-1].markers) > 1,
+        lambda: statuses and described and markers and len(markers[-1].markers) > 1,
         "what was published before",
         5.0,
     )
-    assert operator.described[-1].names == ["tumour", "vessel"]
+    assert described[-1].names == ["tumour", "vessel"]
     assert nanoseconds(statuses[-1].header.stamp) == stamp
     (shown,) = {nanoseconds(marker.header.stamp) for marker in markers[-1].markers}
     assert shown == stamp
@@ -164,12 +180,15 @@ def test_late_comers_have_the_newest_status_and_markers(operator, folder):
 
 
 def test_organ_that_was_loaded_is_the_one_that_is_configured_again(operator, folder):
+    operator.reach("active")
+    described = []
+    operator.node.create_subscription(Structures, "softtissue_estimator/structures", described.append, KEPT)
     other = write_organ(folder.parent / "large", scale=1.2)
     text = (other / "organ.yaml").read_text()
     (other / "organ.yaml").write_text(text.replace("Test organ", "Large organ"))
     response = operator.call(LoadOrgan, "load_organ", LoadOrgan.Request(folder=str(other)))
     assert response.result == LoadOrgan.Response.SUCCESS, response.message
-    operator.wait(lambda: operator.described[-1].organ == "Large organ", "its structures", 5.0)
+    operator.wait(lambda: described and described[-1].organ == "Large organ", "its structures", 5.0)
     assert operator.get("organ").string_value == str(other)
     assert operator.change(Transition.TRANSITION_DEACTIVATE)
     assert operator.diagnosed("inactive")[0] == DiagnosticStatus.WARN
@@ -179,6 +198,6 @@ def test_organ_that_was_loaded_is_the_one_that_is_configured_again(operator, fol
 
 
 def test_monitors_hear_that_it_is_finalized(operator):
-    operator.change(Transition.TRANSITION_DEACTIVATE)  # as the test before leaves it, if that ran here
+    operator.reach("inactive")
     assert operator.change(Transition.TRANSITION_INACTIVE_SHUTDOWN)
     assert operator.diagnosed("finalized")[0] == DiagnosticStatus.ERROR
