@@ -16,9 +16,9 @@ from softtissue_msgs.srv import Register
 
 from integration.harness import NodeProcess, PlainClient
 from ros_domain import reserved
+from softtissue_estimator.observation.rigid import inverse
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.ros.inputs.conversions import read_transform
-from softtissue_estimator.ros.inputs.registration import inverse
 from softtissue_estimator.ros.tools.bag import Bag
 from softtissue_estimator.support.resources import bundled_organ, bundled_scene
 

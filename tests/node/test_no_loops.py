@@ -16,9 +16,9 @@ import trimesh
 from integration.harness import Scene, write_organ
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.observation.observation import make_observation
+from softtissue_estimator.observation.rigid import transform_points
 from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_estimator.ros.inputs.conversions import read_cloud
-from softtissue_estimator.ros.inputs.registration import transform_points
 from softtissue_estimator.ros.outputs.answer_buffer import AnswerBuffer
 from softtissue_estimator.ros.outputs.markers import MarkerBuffer
 from softtissue_estimator.ros.questions import tracked_points

@@ -1,8 +1,9 @@
-"""The rigid motion that fits pairs of points best."""
+"""Rigid motions: the one that fits pairs of points best, and those that are given as matrices."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.organ.mesh import FloatArray
@@ -81,3 +82,21 @@ def fit_rigid(
     handed = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     rotation: FloatArray = (left * handed) @ right
     return RigidMotion(rotation, target_centre - rotation @ source_centre)
+
+
+def inverse(motion: FloatArray) -> FloatArray:
+    """Return the inverse of a (4, 4) rigid motion."""
+    back = np.eye(4)
+    back[:3, :3] = motion[:3, :3].T
+    back[:3, 3] = -motion[:3, :3].T @ motion[:3, 3]
+    return back
+
+
+def transform_points(motion: FloatArray, points: NDArray[np.floating]) -> FloatArray:
+    """Apply a (4, 4) rigid motion to (n, 3) points, m; the result is float64."""
+    # Any number may arrive; what is not finite afterwards is left out, without NumPy's lines on the terminal.
+    with np.errstate(invalid="ignore", over="ignore"):
+        # dot, because for a transposed 3 x 3 matrix the operator takes several times as long.
+        moved: FloatArray = np.dot(points.astype(np.float64, order="C"), motion[:3, :3].T)
+        moved += motion[:3, 3]
+    return moved

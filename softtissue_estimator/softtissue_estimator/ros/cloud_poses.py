@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.observation.rigid import RigidMotion
+from softtissue_estimator.observation.rigid import RigidMotion, inverse
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.registration.find_pose import FoundPose
 from softtissue_estimator.registration.pose_process import PoseQuestion
@@ -17,7 +17,7 @@ from softtissue_estimator.ros.inputs.camera_poses import CameraPoses
 from softtissue_estimator.ros.inputs.conversions import FARTHEST_M, check_cloud, read_cloud, stamp_ns
 from softtissue_estimator.ros.inputs.point_labels import read_labels
 from softtissue_estimator.ros.inputs.pose_covariance import at_origin
-from softtissue_estimator.ros.inputs.registration import OrganPose, inverse
+from softtissue_estimator.ros.inputs.registration import OrganPose
 from softtissue_estimator.ros.questions import OPTICAL
 
 FloatArray = NDArray[np.float64]

@@ -15,6 +15,7 @@ from softtissue_msgs.msg import Distances
 from softtissue_msgs.srv import Distance
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.observation.rigid import inverse, transform_points
 from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_estimator.organ.tool_distance import (
     Place,
@@ -32,7 +33,7 @@ from softtissue_estimator.ros.inputs.conversions import (
     stamp_ns,
     time_message,
 )
-from softtissue_estimator.ros.inputs.registration import Registration, inverse, transform_points
+from softtissue_estimator.ros.inputs.registration import Registration
 from softtissue_estimator.ros.outputs.pose_buffer import fitted_pose
 from softtissue_estimator.support.latest_worker import LatestWorker
 from softtissue_estimator.support.sentences import one_sentence

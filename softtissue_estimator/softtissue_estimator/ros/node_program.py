@@ -3,7 +3,8 @@
 import sys
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NoReturn
+from pkgutil import resolve_name
+from typing import Any, NoReturn
 
 from softtissue_estimator.ros.runtime import (
     Spinner,
@@ -14,31 +15,32 @@ from softtissue_estimator.ros.runtime import (
     take_short_turns,
 )
 
-if TYPE_CHECKING:
-    from softtissue_estimator.ros.command_line import Program
-
 BAD_INPUT = 2
 CRASH = 1
+# After a signal, s: how long callbacks and the work at hand are waited for, and when the process ends at last.
+PATIENCE_S = 1.0
+END_S = 2.0
 Crash = Callable[[BaseException], None]
 
 
 def run_node(
-    program: "Callable[[], Program]",
-    node_class: Callable[[], Callable[[Crash], Any]],
+    program: str,
+    node_class: str,
     *,
-    patience_s: float,
-    end_s: float,
+    patience_s: float = PATIENCE_S,
+    end_s: float = END_S,
     starts: bool = False,
 ) -> NoReturn:
     """Run until SIGINT or SIGTERM (exit code 0); 2 after input that cannot be used, 1 after a crash.
 
     Parameters
     ----------
-    program : callable
-        Imports and returns what the command line is read for. Signals are caught before.
-    node_class : callable
-        Imports and returns the class of the node, which is made with what takes an exception after which the process
-        cannot go on. That takes seconds, for which nobody waits whose arguments are refused.
+    program : str
+        Where that is which the command line is read for, "module:name" as of an entry point. It is imported when
+        signals are caught.
+    node_class : str
+        Where the class of the node is, which is made with what takes an exception after which the process cannot go
+        on. To import it takes seconds, for which nobody waits whose arguments are refused.
     patience_s : float
         How long callbacks and the work at hand are waited for after a signal.
     end_s : float
@@ -75,7 +77,7 @@ def run_node(
     leave(stop.exit_code)
 
 
-def _join_ros(program: "Callable[[], Program]") -> str:
+def _join_ros(program: str) -> str:
     """Read the command line and begin with ROS 2; return a sentence about the transport's profile."""
     import rclpy
     from rclpy.signals import SignalHandlerOptions
@@ -85,7 +87,7 @@ def _join_ros(program: "Callable[[], Program]") -> str:
     from softtissue_estimator.ros.inputs.transport import use_profile
 
     try:
-        parse_arguments(sys.argv[1:], program())
+        parse_arguments(sys.argv[1:], resolve_name(program))
     except SoftTissueError as error:
         _refuse(str(error))
     profile = use_profile()
@@ -96,12 +98,12 @@ def _join_ros(program: "Callable[[], Program]") -> str:
     return profile
 
 
-def _made(node_class: Callable[[], Callable[[Crash], Any]], crash: Crash, stop: StopRequest) -> Any:
+def _made(node_class: str, crash: Crash, stop: StopRequest) -> Any:
     """Import the node's class and make the node, unless the program was asked to end meanwhile."""
     from softtissue_estimator.errors import SoftTissueError
 
     try:
-        make = node_class()
+        make = resolve_name(node_class)
         stop.begin()
         return make(crash)
     except SoftTissueError as error:

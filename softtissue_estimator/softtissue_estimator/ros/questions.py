@@ -13,13 +13,14 @@ from softtissue_estimator.estimators.estimator import Estimate, Estimator
 from softtissue_estimator.inference.stopwatch import Stopwatch
 from softtissue_estimator.observation.bare_cloud import BareCloud, make_bare_cloud
 from softtissue_estimator.observation.observation import Observation, make_observation
+from softtissue_estimator.observation.rigid import transform_points
 from softtissue_estimator.observation.visibility import seen_fraction, visible_fraction
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.ros.inputs.conversions import Cloud
 from softtissue_estimator.ros.inputs.correspondences import read_correspondences
 from softtissue_estimator.ros.inputs.point_labels import read_labels
 from softtissue_estimator.ros.inputs.point_normals import read_normals, turn_normals
-from softtissue_estimator.ros.inputs.registration import OrganPose, transform_points
+from softtissue_estimator.ros.inputs.registration import OrganPose
 
 FloatArray = NDArray[np.float64]
 

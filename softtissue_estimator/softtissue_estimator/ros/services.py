@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 from softtissue_msgs.srv import Reset, WarpPoints
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.observation.rigid import transform_points
 from softtissue_estimator.ros.frames import Answer
 from softtissue_estimator.ros.inputs.conversions import FARTHEST_M, doubles, time_message
-from softtissue_estimator.ros.inputs.registration import Registration, transform_points
+from softtissue_estimator.ros.inputs.registration import Registration
 from softtissue_estimator.support.sentences import one_sentence
 
 MOST_POINTS = 1_000_000

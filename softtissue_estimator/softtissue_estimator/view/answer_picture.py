@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError, MissingDependencyError
 from softtissue_estimator.organ.mesh import SurfaceMesh
-from softtissue_estimator.view.panels import FRONT, HEAD, OVERSAMPLING, TRACKED_COLOUR, glass
+from softtissue_estimator.view.panels import FRONT, HEAD, NO_MATPLOTLIB, OVERSAMPLING, TRACKED_COLOUR, glass
 from softtissue_estimator.view.rendering import Camera, behind_glass, draw_solid, look_from, reduce_image
 from softtissue_estimator.view.structures import Structures
 
@@ -122,9 +122,7 @@ def png_of(image: Array) -> bytes:
     try:
         from matplotlib.image import imsave
     except ImportError as error:
-        raise MissingDependencyError(
-            "picture: expected matplotlib, got none; pip install matplotlib, or softtissue_estimator with [picture]"
-        ) from error
+        raise MissingDependencyError(NO_MATPLOTLIB) from error
     white = image[..., :3] * image[..., 3:] + (1.0 - image[..., 3:])
     file = io.BytesIO()
     unsaid: dict[str, Any] = {"Software": None}

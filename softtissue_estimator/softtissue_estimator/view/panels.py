@@ -47,6 +47,9 @@ _GREY = "#8a8a94"
 FRONT: Direction = (0.10, -1.0, -0.16)
 """Direction of a viewer in front, where x points to the patient's left, y to the back and z to the head."""
 HEAD: Direction = (0.0, 0.0, 1.0)
+NO_MATPLOTLIB = (
+    "picture: expected matplotlib, got none; pip install matplotlib, or softtissue_estimator with [picture]"
+)
 
 
 def panel_camera(direction: Direction, up: Direction, points: Sequence[Array]) -> Camera:
@@ -66,9 +69,7 @@ def figure_of_panels(count: int) -> tuple[Figure, list[Axes]]:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise MissingDependencyError(
-            "picture: expected matplotlib, got none; pip install matplotlib, or softtissue_estimator with [picture]"
-        ) from error
+        raise MissingDependencyError(NO_MATPLOTLIB) from error
     figure = Figure(figsize=(6.6 * count, 6.2), dpi=110, facecolor="white")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(1, count, left=0.005, right=0.995, top=0.86, bottom=0.16, wspace=0.01)

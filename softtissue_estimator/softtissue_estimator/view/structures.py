@@ -42,6 +42,18 @@ class Structures:
         """Rows of a structure."""
         return slice(int(self.first_vertex[number]), int(self.first_vertex[number + 1]))
 
+    def misfit(self, points: FloatArray) -> str:
+        """Say why the rows of an answer, (n, 3), are not those of the structures; empty if they are."""
+        rows = int(self.first_vertex[-1])
+        return "" if len(points) == rows else f"expected {rows} rows in an answer, got {len(points)}"
+
+    def surface_misfit(self, points: FloatArray) -> str:
+        """Say why positions of the organ's surface, (k, 3), are too few for its triangles; empty if they are not."""
+        least = 1 + int(self.surface_faces.max(initial=-1))
+        return (
+            "" if len(points) >= least else f"expected at least {least} rows of a surface, got {len(points)}"
+        )
+
 
 def make_structures(
     names: tuple[str, ...],

@@ -4,15 +4,15 @@ import threading
 from collections import OrderedDict
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softtissue_estimator.observation.rigid import inverse, transform_points
+from softtissue_estimator.support.newest import keep_newest
 from softtissue_estimator.view.structures import FloatArray, Structures
 from softtissue_estimator.viewer.moment import CameraImage, Health, Level, Moment, Observed, ToolDistances
-
-ItemT = TypeVar("ItemT")
 
 KEPT = 16
 """Answers, surfaces, poses and clouds that are kept, to put together what has the same stamp."""
@@ -91,22 +91,22 @@ class State:
     def take_points(self, stamp_ns: int, points: FloatArray, sigma: FloatArray, now_s: float) -> None:
         """Take an answer: vertices of all structures, (n, 3) m, and their standard deviations, (n,) m."""
         with self._lock:
-            _keep(self._answers, stamp_ns, _Answer(now_s, points, sigma))
+            keep_newest(self._answers, KEPT, stamp_ns, _Answer(now_s, points, sigma))
 
     def take_surface(self, stamp_ns: int, points: FloatArray) -> None:
         """Take the organ's surface that belongs to an answer, (k, 3) m."""
         with self._lock:
-            _keep(self._surfaces, stamp_ns, points)
+            keep_newest(self._surfaces, KEPT, stamp_ns, points)
 
     def take_pose(self, stamp_ns: int, frame: str, motion: FloatArray) -> None:
         """Take the pose (4, 4) of the organ in the frame of the cloud of that stamp."""
         with self._lock:
-            _keep(self._poses, stamp_ns, (frame, motion))
+            keep_newest(self._poses, KEPT, stamp_ns, (frame, motion))
 
     def take_cloud(self, cloud: Observed) -> None:
         """Take observed points."""
         with self._lock:
-            _keep(self._clouds, cloud.stamp_ns, cloud)
+            keep_newest(self._clouds, KEPT, cloud.stamp_ns, cloud)
 
     def take_health(self, health: Health, now_s: float) -> None:
         """Take the newest status; where it is INVALID, the answers before it no longer hold."""
@@ -211,8 +211,7 @@ class State:
         )
 
     def _fits(self, surface: FloatArray) -> bool:
-        faces = None if self._structures is None else self._structures.surface_faces
-        enough = faces is None or not len(faces) or int(faces.max()) < len(surface)
+        enough = self._structures is None or not self._structures.surface_misfit(surface)
         return enough and bool(np.isfinite(surface).all())
 
     def _observed(self, stamp: int) -> tuple[FloatArray | None, Observed | None]:
@@ -226,21 +225,13 @@ class State:
         motion = inverse(pose[1])
         if cloud is None or cloud.frame != pose[0]:
             return motion, None
-        moved = cloud.points @ motion[:3, :3].T + motion[:3, 3]
+        moved = transform_points(motion, cloud.points)
         return motion, replace(cloud, points=moved.astype(np.float32))
 
     def _forget(self) -> None:
         for kept in (self._answers, self._surfaces, self._poses):
             kept.clear()
         self._moment = None
-
-
-def inverse(motion: FloatArray) -> FloatArray:
-    """Return the inverse of a rigid motion (4, 4)."""
-    turned: FloatArray = np.eye(4)
-    turned[:3, :3] = motion[:3, :3].T
-    turned[:3, 3] = -motion[:3, :3].T @ motion[:3, 3]
-    return turned
 
 
 def largest_sigma(sigma: FloatArray, first_vertex: NDArray[np.int64]) -> FloatArray:
@@ -277,14 +268,7 @@ def _arrays(structures: Structures) -> list[NDArray[Any]]:
 
 def _misfit(structures: Structures, points: FloatArray) -> str:
     """Say why an answer cannot be drawn; empty if it can."""
-    rows = int(structures.first_vertex[-1])
-    if len(points) != rows:
-        return f"expected {rows} rows in an answer, got {len(points)}"
-    return "" if np.isfinite(points).all() else "expected finite positions in an answer, got others"
-
-
-def _keep(kept: OrderedDict[int, ItemT], stamp: int, item: ItemT) -> None:
-    kept[stamp] = item
-    kept.move_to_end(stamp)
-    while len(kept) > KEPT:
-        kept.popitem(last=False)
+    finite = bool(np.isfinite(points).all())
+    return structures.misfit(points) or (
+        "" if finite else "expected finite positions in an answer, got others"
+    )

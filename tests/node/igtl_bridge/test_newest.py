@@ -185,9 +185,9 @@ def test_messages_that_cannot_be_used_are_refused_and_leave_the_others(bridge):
     bad[3] = np.nan
     for take, message, words in (
         (bridge.take_structures, wrong, "triangles"),
-        (bridge.take_points, cloud(6 * S, POINTS), "expected 8 rows, got 4"),
+        (bridge.take_points, cloud(6 * S, POINTS), "expected 8 rows in an answer, got 4"),
         (bridge.take_points, cloud(6 * S, bad), "finite"),
-        (bridge.take_surface, cloud(6 * S, POINTS[:2]), "expected at least 3 rows, got 2"),
+        (bridge.take_surface, cloud(6 * S, POINTS[:2]), "expected at least 3 rows of a surface, got 2"),
         (bridge.take_pose, pose(6 * S, np.inf), "finite"),
     ):
         with pytest.raises(InvalidInputError, match=words):

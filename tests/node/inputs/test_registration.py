@@ -12,8 +12,9 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 from integration.harness import CAMERA_FROM_ORGAN, pose_message, registration_message, stamp_message
 from node.stand_ins import TF2, Recorder, stand_in
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.observation.rigid import transform_points
 from softtissue_estimator.ros.inputs.pose_covariance import at_centre
-from softtissue_estimator.ros.inputs.registration import Registration, transform_points
+from softtissue_estimator.ros.inputs.registration import Registration
 from softtissue_estimator.ros.inputs.transforms import Lookup, tf_source
 
 

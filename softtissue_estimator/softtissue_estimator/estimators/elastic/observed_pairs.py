@@ -63,13 +63,13 @@ class PairsObservation:
         self, patches: ObservedPatches, model: ElasticModel, sensor_bias_m: float, match_slide_m: float
     ) -> None:
         self.patches, self.nodes_at_rest = patches, model.nodes
-        self.places = ObservedPlaces(model.surface_interpolation(patches.reference), model.device)
+        self._surface = model.moved_surface
+        self._material = self._surface.followed(patches.reference)
+        self.places = ObservedPlaces(self._material.interpolation(len(model.nodes)), model.device)
         self.field = field_columns(model.nodes.index_select(0, self.places.nodes), patches.reference)
         most = sensor_bias_m, sensor_bias_m, match_slide_m / math.sqrt(2.0)
         self.first_fields_m = tuple(min(FIRST_SIGMA_M, one) for one in most)
         self.most_fields = self.field.new_tensor(most).square()
-        self._surface = model.moved_surface
-        self._material = self._surface.followed(patches.reference)
 
     def about(self, mean: Tensor, registration: RegistrationError, reach_m: float) -> ObservedPairs:
         """Return the pairs, which may be wrong along the surface as the organ is estimated now."""

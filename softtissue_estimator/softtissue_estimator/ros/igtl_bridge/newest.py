@@ -103,9 +103,8 @@ class Newest:
         answer = read_points(message)
         if self._structures is None:
             return  # those of its organ come with the next
-        rows = int(self._structures.first_vertex[-1])
-        if len(answer.points) != rows:
-            raise InvalidInputError(f"answer: expected {rows} rows, got {len(answer.points)}")
+        if misfit := self._structures.misfit(answer.points):
+            raise InvalidInputError(f"answer: {misfit}")
         self._hold("points", answer.stamp_ns, to_ras_mm(answer.points, self._system))
 
     def take_surface(self, message: PointCloud2) -> None:
@@ -113,11 +112,8 @@ class Newest:
         answer = read_points(message)
         if self._structures is None:
             return
-        corners = self._structures.surface_faces
-        if len(corners) and int(corners.max()) >= len(answer.points):
-            raise InvalidInputError(
-                f"surface: expected at least {int(corners.max()) + 1} rows, got {len(answer.points)}"
-            )
+        if misfit := self._structures.surface_misfit(answer.points):
+            raise InvalidInputError(f"surface: {misfit}")
         self._hold("surface", answer.stamp_ns, to_ras_mm(answer.points, self._system))
 
     def take_pose(self, message: PoseWithCovarianceStamped) -> None:

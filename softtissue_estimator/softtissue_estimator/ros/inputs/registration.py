@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, OrganNotFoundError
+from softtissue_estimator.observation.rigid import inverse
 from softtissue_estimator.ros.inputs.camera_poses import TOPIC, CameraPoses
 from softtissue_estimator.ros.inputs.conversions import read_pose, read_transform
 from softtissue_estimator.ros.inputs.pose_covariance import at_centre, read_covariance
@@ -278,21 +279,3 @@ def _hint(cloud_frame: str, organ_frame: str, newest: OrganPose | None, found: L
     if cloud_frame.startswith("/"):
         return "; frames have no leading slash in ROS 2"
     return f"; {found.reason}" if found.reason else ""
-
-
-def inverse(motion: FloatArray) -> FloatArray:
-    """Return the inverse of a (4, 4) rigid motion."""
-    back = np.eye(4)
-    back[:3, :3] = motion[:3, :3].T
-    back[:3, 3] = -motion[:3, :3].T @ motion[:3, 3]
-    return back
-
-
-def transform_points(motion: FloatArray, points: NDArray[np.floating]) -> FloatArray:
-    """Apply a (4, 4) rigid motion to (n, 3) points, m; the result is float64."""
-    # Any number may arrive; what is not finite afterwards is left out, without NumPy's lines on the terminal.
-    with np.errstate(invalid="ignore", over="ignore"):
-        # dot, because for a transposed 3 x 3 matrix the operator takes several times as long.
-        moved: FloatArray = np.dot(points.astype(np.float64, order="C"), motion[:3, :3].T)
-        moved += motion[:3, 3]
-    return moved

@@ -3,7 +3,6 @@
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass
-from typing import TypeVar
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import PointCloud2
@@ -11,13 +10,13 @@ from softtissue_msgs.msg import EstimatorStatus
 from softtissue_msgs.msg import Structures as StructuresMessage
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.observation.rigid import inverse, transform_points
 from softtissue_estimator.overlay.scene import FloatArray, Placed
 from softtissue_estimator.ros.inputs.answers import Points, read_points, read_structures
 from softtissue_estimator.ros.inputs.conversions import check_stamp, read_pose, stamp_ns
-from softtissue_estimator.ros.inputs.registration import Registration, inverse, transform_points
+from softtissue_estimator.ros.inputs.registration import Registration
+from softtissue_estimator.support.newest import keep_newest
 from softtissue_estimator.view.structures import Structures
-
-ItemT = TypeVar("ItemT")
 
 KEPT = 32
 """Answers and poses that are kept: images are late by less than a second."""
@@ -90,7 +89,7 @@ class Answers:
         """
         answer = read_points(message)
         with self._lock:
-            _keep(self._answers, answer.stamp_ns, answer)
+            keep_newest(self._answers, KEPT, answer.stamp_ns, answer)
 
     def take_surface(self, message: PointCloud2) -> None:
         """Take the organ's surface (`~/deformed_surface`).
@@ -113,7 +112,7 @@ class Answers:
         check_stamp(message.header.stamp, "registration")
         motion = read_pose(message)
         with self._lock:
-            _keep(self._poses, stamp_ns(message.header.stamp), (message.header.frame_id, motion))
+            keep_newest(self._poses, KEPT, stamp_ns(message.header.stamp), (message.header.frame_id, motion))
 
     def take_status(self, message: EstimatorStatus) -> None:
         """Take the newest status; where it is INVALID, the answers before it no longer hold."""
@@ -150,11 +149,8 @@ class Answers:
                 head="NO ESTIMATE",
                 reason=f"expected an answer within {maximum_age_s:g} s of the image (maximum_age_s), got {got}",
             )
-        if len(answer.points) != structures.first_vertex[-1]:
-            return View(
-                head="NO ESTIMATE",
-                reason=f"expected {structures.first_vertex[-1]} rows in an answer, got {len(answer.points)}",
-            )
+        if misfit := structures.misfit(answer.points):
+            return View(head="NO ESTIMATE", reason=misfit)
         try:
             motion = self._motion(frame, answer, pose, stamp)
         except InvalidInputError as error:
@@ -184,10 +180,3 @@ class Answers:
             return motion
         moved: FloatArray = inverse(now) @ then @ motion
         return moved
-
-
-def _keep(kept: OrderedDict[int, ItemT], stamp: int, item: ItemT) -> None:
-    kept[stamp] = item
-    kept.move_to_end(stamp)
-    while len(kept) > KEPT:
-        kept.popitem(last=False)

@@ -1,14 +1,11 @@
 """The node `softtissue_overlay`: images in, images with the structures out."""
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.clock import Clock, ClockType
-from rclpy.logging import get_logger
-from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from softtissue_msgs.msg import EstimatorStatus, Structures
 
@@ -18,9 +15,6 @@ from softtissue_estimator.overlay.camera import Camera
 from softtissue_estimator.overlay.labels import banner_rows, write_banner
 from softtissue_estimator.overlay.painter import paint
 from softtissue_estimator.overlay.settings import OverlaySettings
-from softtissue_estimator.ros import parameters
-from softtissue_estimator.ros.boundary import Boundary
-from softtissue_estimator.ros.bounded import BoundedPlainNode
 from softtissue_estimator.ros.inputs.images import (
     Picture,
     Pixels,
@@ -31,24 +25,18 @@ from softtissue_estimator.ros.inputs.images import (
 from softtissue_estimator.ros.inputs.registration import Registration
 from softtissue_estimator.ros.inputs.registration_topics import RegistrationTopics
 from softtissue_estimator.ros.inputs.transforms import tf_source
+from softtissue_estimator.ros.listener_node import ANSWER_QOS, KEPT_QOS, SENSOR_QOS, ListenerNode
 from softtissue_estimator.ros.overlay.answers import KEPT, Answers, View
 from softtissue_estimator.ros.overlay.images import ImageBuffer, compressed_message
 from softtissue_estimator.ros.overlay.program import PROGRAM
 from softtissue_estimator.support.latest_worker import LatestWorker
 
-NAME = "softtissue_overlay"
 FIXED = frozenset({"estimator_node", "image_transport"})
-# Of images and answers alike only the newest counts.
-IMAGE_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-ANSWER_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 POSE_QOS = QoSProfile(depth=KEPT, reliability=ReliabilityPolicy.RELIABLE)
-KEPT_QOS = QoSProfile(
-    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
 _RED, _AMBER = (230, 60, 50), (255, 190, 0)  # red, green, blue
 
 
-class OverlayNode(BoundedPlainNode):
+class OverlayNode(ListenerNode[OverlaySettings]):
     """Draws on the newest image, in a thread of its own; images that come meanwhile replace one another.
 
     Parameters
@@ -63,15 +51,7 @@ class OverlayNode(BoundedPlainNode):
     """
 
     def __init__(self, on_crash: Callable[[BaseException], None]) -> None:
-        super().__init__(NAME, Boundary(get_logger(NAME), on_crash))
-        parameters.warn_of_unknown(self, PROGRAM)
-        for field in dataclasses.fields(OverlaySettings):
-            parameters.declare(self, field.default, parameters.described(field, field.name in FIXED))
-        names = [field.name for field in dataclasses.fields(OverlaySettings)]
-        self._settings = OverlaySettings(**{name: self.get_parameter(name).value for name in names})
-        self.add_on_set_parameters_callback(
-            self.boundary.guarded("parameters", self._on_parameters, lambda said, _: parameters.refused(said))
-        )
+        super().__init__(PROGRAM, FIXED, on_crash)
         registration = Registration(tf_source(self))
         self._answers = Answers(registration)
         self._camera_info: CameraInfo | None = None
@@ -89,14 +69,14 @@ class OverlayNode(BoundedPlainNode):
         return self._worker.stop(timeout_s)
 
     def _subscribe(self, registration: Registration) -> None:
-        estimator, answers = self._settings.estimator_node, self._answers
+        estimator, answers = self.settings.estimator_node, self._answers
         self._topics = [
-            self._listen(Structures, f"{estimator}/structures", answers.take_structures, KEPT_QOS),
-            self._listen(EstimatorStatus, f"{estimator}/status", answers.take_status, KEPT_QOS),
-            self._listen(PoseWithCovarianceStamped, f"{estimator}/registration", answers.take_pose, POSE_QOS),
-            self._listen(PointCloud2, f"{estimator}/deformed_points", answers.take_points, ANSWER_QOS),
-            self._listen(PointCloud2, f"{estimator}/deformed_surface", answers.take_surface, ANSWER_QOS),
-            self._listen(CameraInfo, "camera_info", self._take_camera, IMAGE_QOS),
+            self.listen(Structures, f"{estimator}/structures", answers.take_structures, KEPT_QOS),
+            self.listen(EstimatorStatus, f"{estimator}/status", answers.take_status, KEPT_QOS),
+            self.listen(PoseWithCovarianceStamped, f"{estimator}/registration", answers.take_pose, POSE_QOS),
+            self.listen(PointCloud2, f"{estimator}/deformed_points", answers.take_points, ANSWER_QOS),
+            self.listen(PointCloud2, f"{estimator}/deformed_surface", answers.take_surface, ANSWER_QOS),
+            self.listen(CameraInfo, "camera_info", self._take_camera, SENSOR_QOS),
         ]
         self._registrations = RegistrationTopics(
             self, registration, lambda: self._answers.organ_frame, self.boundary.warn
@@ -105,19 +85,10 @@ class OverlayNode(BoundedPlainNode):
             1.0, self._registrations.look_for_kept, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
         kind, topic = (Image, "image")
-        if self._settings.image_transport == "compressed":
+        if self.settings.image_transport == "compressed":
             kind, topic = CompressedImage, "image/compressed"
-        self._images = self.create_subscription(kind, topic, self._on_image, IMAGE_QOS)
+        self._images = self.create_subscription(kind, topic, self._on_image, SENSOR_QOS)
         self.boundary.info(f"drawing on images of {self._images.topic_name}")
-
-    def _listen(self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile) -> Any:
-        def on_message(message: Any) -> None:
-            try:
-                take(message)
-            except InvalidInputError as error:
-                self.boundary.warn(str(error))
-
-        return self.create_subscription(kind, topic, on_message, qos)
 
     def _take_camera(self, message: CameraInfo) -> None:
         self._camera_info = message
@@ -128,7 +99,7 @@ class OverlayNode(BoundedPlainNode):
 
     def _draw(self, message: Any) -> None:
         """Draw on an image and publish it; runs in the worker's thread."""
-        settings = self._settings
+        settings = self.settings
         try:
             picture = (read_image if isinstance(message, Image) else read_compressed_image)(message)
         except InvalidInputError as error:
@@ -194,15 +165,6 @@ class OverlayNode(BoundedPlainNode):
                 f"image: expected {camera.columns} x {camera.rows} pixels as camera_info says, got {columns} x {rows}"
             )
         return camera
-
-    def _on_parameters(self, changes: list[Parameter]) -> Any:
-        known = {field.name for field in dataclasses.fields(OverlaySettings)}
-        values = {change.name: change.value for change in changes if change.name in known}
-        try:
-            self._settings = dataclasses.replace(self._settings, **values)
-        except InvalidInputError as error:
-            return parameters.refused(self.boundary.sentence("parameters", error))
-        return parameters.accepted()
 
 
 def _same(first: CameraInfo, second: CameraInfo) -> bool:

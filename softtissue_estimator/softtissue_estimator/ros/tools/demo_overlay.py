@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.observation.rigid import transform_points
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.overlay.camera import Camera
 from softtissue_estimator.overlay.labels import write_lines
@@ -18,7 +19,6 @@ from softtissue_estimator.overlay.scene import Placed
 from softtissue_estimator.ros.inputs.answers import read_structures
 from softtissue_estimator.ros.inputs.conversions import read_cloud, stamp_ns
 from softtissue_estimator.ros.inputs.images import read_camera, read_compressed_image
-from softtissue_estimator.ros.inputs.registration import transform_points
 from softtissue_estimator.ros.outputs.structures import structures_message
 from softtissue_estimator.ros.tools.bag import Bag
 

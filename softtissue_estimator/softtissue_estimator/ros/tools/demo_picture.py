@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.observation.rigid import transform_points
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.ros.inputs.conversions import Cloud, read_cloud
 from softtissue_estimator.ros.inputs.conversions import stamp_ns as nanoseconds
 from softtissue_estimator.ros.inputs.correspondences import read_correspondences
-from softtissue_estimator.ros.inputs.registration import Registration, transform_points
+from softtissue_estimator.ros.inputs.registration import Registration
 from softtissue_estimator.ros.tools.bag import Bag
 from softtissue_estimator.view.picture import draw_phantom
 from softtissue_estimator.view.scene import Markers, Scene

@@ -1,33 +1,13 @@
 """Executable `viewer`: runs the node that serves a live page."""
 
-from typing import TYPE_CHECKING
-
 from softtissue_estimator.ros.node_program import run_node
 
-if TYPE_CHECKING:
-    from softtissue_estimator.ros.command_line import Program
-    from softtissue_estimator.ros.viewer.viewer_node import ViewerNode
-
-# After a signal, s: how long callbacks and the page are waited for, and when the process ends at last.
-PATIENCE_S = 1.0
-END_S = 2.0
+_ROOM = "softtissue_estimator.ros.viewer"
 
 
 def main() -> None:
     """Run until SIGINT or SIGTERM (exit code 0); 2 after arguments that cannot be used, 1 after a crash."""
-    run_node(_program, _node_class, patience_s=PATIENCE_S, end_s=END_S)
-
-
-def _program() -> "Program":
-    from softtissue_estimator.ros.viewer.program import PROGRAM
-
-    return PROGRAM
-
-
-def _node_class() -> "type[ViewerNode]":
-    from softtissue_estimator.ros.viewer.viewer_node import ViewerNode
-
-    return ViewerNode
+    run_node(f"{_ROOM}.program:PROGRAM", f"{_ROOM}.viewer_node:ViewerNode")
 
 
 if __name__ == "__main__":

@@ -1,24 +1,17 @@
 """The node `softtissue_viewer`: answers in, a live page out."""
 
-import dataclasses
 import time
 from collections.abc import Callable
-from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.clock import Clock, ClockType
-from rclpy.logging import get_logger
-from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 from softtissue_msgs.msg import Distances, EstimatorStatus, Structures
 
-from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.ros import parameters
-from softtissue_estimator.ros.boundary import Boundary
-from softtissue_estimator.ros.bounded import BoundedPlainNode
 from softtissue_estimator.ros.inputs.answers import read_points, read_structures
 from softtissue_estimator.ros.inputs.conversions import check_stamp, read_pose, stamp_ns
+from softtissue_estimator.ros.listener_node import ANSWER_QOS, KEPT_QOS, SENSOR_QOS, ListenerNode
 from softtissue_estimator.ros.viewer.calls import Calls
 from softtissue_estimator.ros.viewer.messages import read_distances, read_health, read_observed
 from softtissue_estimator.ros.viewer.program import PROGRAM
@@ -29,7 +22,6 @@ from softtissue_estimator.viewer.server import LOOPBACK, is_loopback
 from softtissue_estimator.viewer.settings import ViewerSettings
 from softtissue_estimator.viewer.state import KEPT, State
 
-NAME = "softtissue_viewer"
 FIXED = frozenset(
     {
         "estimator_node",
@@ -42,17 +34,11 @@ FIXED = frozenset(
         "recording_mb",
     }
 )
-# Of clouds and answers alike only the newest counts.
-CLOUD_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-ANSWER_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 POSE_QOS = QoSProfile(depth=KEPT, reliability=ReliabilityPolicy.RELIABLE)
-KEPT_QOS = QoSProfile(
-    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
 _ASK_PERIOD_S = 0.1
 
 
-class ViewerNode(BoundedPlainNode):
+class ViewerNode(ListenerNode[ViewerSettings]):
     """Keeps what the node says, and shows it so many times a second in a thread of its own.
 
     Parameters
@@ -67,15 +53,8 @@ class ViewerNode(BoundedPlainNode):
     """
 
     def __init__(self, on_crash: Callable[[BaseException], None]) -> None:
-        super().__init__(NAME, Boundary(get_logger(NAME), on_crash))
-        parameters.warn_of_unknown(self, PROGRAM)
-        for field in dataclasses.fields(ViewerSettings):
-            parameters.declare(self, field.default, parameters.described(field, field.name in FIXED))
-        names = [field.name for field in dataclasses.fields(ViewerSettings)]
-        settings = ViewerSettings(**{name: self.get_parameter(name).value for name in names})
-        self.add_on_set_parameters_callback(
-            self.boundary.guarded("parameters", self._on_parameters, lambda said, _: parameters.refused(said))
-        )
+        super().__init__(PROGRAM, FIXED, on_crash)
+        settings = self.settings
         self._state = State()
         self._calls: Calls | None = None
         if settings.buttons:
@@ -93,7 +72,7 @@ class ViewerNode(BoundedPlainNode):
             # Only then, for it needs OpenCV.
             from softtissue_estimator.ros.viewer.pictures import Pictures
 
-            self._pictures = Pictures(settings.image_transport, self._take_image, self._listen, CLOUD_QOS)
+            self._pictures = Pictures(settings.image_transport, self._take_image, self.listen, SENSOR_QOS)
         self.boundary.info(f"serving {self._page.address}")
         if not is_loopback(settings.host):
             self.boundary.warn(
@@ -109,23 +88,14 @@ class ViewerNode(BoundedPlainNode):
 
     def _subscribe(self, estimator: str) -> None:
         self._topics = [
-            self._listen(Structures, f"{estimator}/structures", self._take_structures, KEPT_QOS),
-            self._listen(EstimatorStatus, f"{estimator}/status", self._take_status, KEPT_QOS),
-            self._listen(PoseWithCovarianceStamped, f"{estimator}/registration", self._take_pose, POSE_QOS),
-            self._listen(PointCloud2, f"{estimator}/deformed_points", self._take_points, ANSWER_QOS),
-            self._listen(PointCloud2, f"{estimator}/deformed_surface", self._take_surface, ANSWER_QOS),
-            self._listen(Distances, f"{estimator}/tool_distances", self._take_distances, ANSWER_QOS),
-            self._listen(PointCloud2, "surface_points", self._take_cloud, CLOUD_QOS),
+            self.listen(Structures, f"{estimator}/structures", self._take_structures, KEPT_QOS),
+            self.listen(EstimatorStatus, f"{estimator}/status", self._take_status, KEPT_QOS),
+            self.listen(PoseWithCovarianceStamped, f"{estimator}/registration", self._take_pose, POSE_QOS),
+            self.listen(PointCloud2, f"{estimator}/deformed_points", self._take_points, ANSWER_QOS),
+            self.listen(PointCloud2, f"{estimator}/deformed_surface", self._take_surface, ANSWER_QOS),
+            self.listen(Distances, f"{estimator}/tool_distances", self._take_distances, ANSWER_QOS),
+            self.listen(PointCloud2, "surface_points", self._take_cloud, SENSOR_QOS),
         ]
-
-    def _listen(self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile) -> Any:
-        def on_message(message: Any) -> None:
-            try:
-                take(message)
-            except InvalidInputError as error:
-                self.boundary.warn(str(error))
-
-        return self.create_subscription(kind, topic, on_message, qos)
 
     def _take_structures(self, message: Structures) -> None:
         self._state.take_structures(read_structures(message), message.header.frame_id)
@@ -149,21 +119,12 @@ class ViewerNode(BoundedPlainNode):
         self._state.take_distances(read_distances(message), time.monotonic())
 
     def _take_cloud(self, message: PointCloud2) -> None:
-        self._state.take_cloud(read_observed(message, self._page.settings.maximum_points))
+        self._state.take_cloud(read_observed(message, self.settings.maximum_points))
 
     def _take_image(self, image: CameraImage) -> None:
         self._state.take_image(image, time.monotonic())
 
     def _show(self, _due: bool) -> None:
         """Show what is now; runs in the worker's thread."""
-        now_s = time.monotonic()
-        self._page.show(self._state.view(now_s, self._page.settings.maximum_age_s), now_s)
-
-    def _on_parameters(self, changes: list[Parameter]) -> Any:
-        known = {field.name for field in dataclasses.fields(ViewerSettings)}
-        values = {change.name: change.value for change in changes if change.name in known}
-        try:
-            self._page.settings = dataclasses.replace(self._page.settings, **values)
-        except InvalidInputError as error:
-            return parameters.refused(self.boundary.sentence("parameters", error))
-        return parameters.accepted()
+        now_s, self._page.settings = time.monotonic(), self.settings
+        self._page.show(self._state.view(now_s, self.settings.maximum_age_s), now_s)

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.observation.rigid import inverse, transform_points
 from softtissue_estimator.report.moments import Moment
 from softtissue_estimator.report.page import Picture
 from softtissue_estimator.ros.inputs.answers import Points, read_points, read_structures
 from softtissue_estimator.ros.inputs.conversions import read_cloud, read_pose
-from softtissue_estimator.ros.inputs.registration import inverse, transform_points
 from softtissue_estimator.ros.tools.bag import Bag
 from softtissue_estimator.ros.tools.report.reading import Damage, Watched, stamp_of
 from softtissue_estimator.view.answer_picture import AnswerView, camera_of, draw_answer, png_of
