@@ -27,7 +27,8 @@ try:
         serialised,
     )
     from fuzz.node_inside import Kept
-    from integration.harness import CAMERA_FROM_ORGAN, cloud_message, pose_message, stamp_message, write_organ
+    from integration.harness import write_organ
+    from integration.scene import CAMERA_FROM_ORGAN, cloud_message, pose_message, stamp_message
     from softtissue_estimator.organ.organ import load_organ
     from softtissue_estimator.ros.outputs.structures import structures_message
     from softtissue_estimator.ros.overlay.overlay_node import OverlayNode

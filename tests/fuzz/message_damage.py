@@ -15,7 +15,7 @@ from softtissue_msgs.msg import Correspondences
 from softtissue_msgs.srv import DecideRegistration, Distance, LoadOrgan, Register, Reset, WarpPoints
 
 from fuzz.damage import WHOLE_NUMBERS, damaged_bytes, how_often
-from integration.harness import CAMERA_FROM_ORGAN, Scene, pose_message, registration_message, stamp_message
+from integration.scene import CAMERA_FROM_ORGAN, Scene, pose_message, registration_message, stamp_message
 
 UNSIGNED = tuple(n for n in WHOLE_NUMBERS if 0 <= n < 2**32)
 FLOATS = (

@@ -17,14 +17,14 @@ from softtissue_msgs.msg import EstimatorStatus
 from softtissue_msgs.srv import DecideRegistration, Distance, LoadOrgan, Register, Reset, WarpPoints
 
 from fuzz.kind import FailedError, check_sentence, expect
-from integration.harness import (
+from integration.harness import write_organ
+from integration.scene import (
     CAMERA_FROM_ORGAN,
     Scene,
     nanoseconds,
     read_answer,
     read_pose_message,
     registration_message,
-    write_organ,
 )
 from softtissue_estimator.ros.estimator_node import EstimatorNode
 

@@ -17,7 +17,8 @@ try:
     from softtissue_msgs.srv import Reset
 
     from fuzz.message_damage import damaged_message
-    from integration.harness import Client, NodeProcess, Scene, nanoseconds, read_answer, write_organ
+    from integration.harness import Client, NodeProcess, write_organ
+    from integration.scene import Scene, nanoseconds, read_answer
     from ros_domain import reserved
 except ImportError as error:
     MISSING = str(error)

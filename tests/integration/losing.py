@@ -23,7 +23,8 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parents[1]))
     sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 
-from integration.harness import NodeProcess, PlainClient, nanoseconds
+from integration.harness import NodeProcess, PlainClient
+from integration.scene import nanoseconds
 from ros_domain import reserved
 from softtissue_estimator.ros.tools.bag import Bag
 from softtissue_estimator.support.resources import bundled_organ, bundled_scene

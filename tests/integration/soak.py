@@ -28,7 +28,8 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parents[1]))
     sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 
-from integration.harness import NodeProcess, PlainClient, executable, nanoseconds
+from integration.harness import NodeProcess, PlainClient, executable
+from integration.scene import nanoseconds
 from ros_domain import environment_of, reserved
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.support.resources import bundled_bag, bundled_organ

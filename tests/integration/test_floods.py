@@ -11,7 +11,8 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 
 from softtissue_msgs.srv import LoadOrgan, Reset, WarpPoints
 
-from integration.harness import AtRate, Scene, nanoseconds, running_node, stamp_message, write_organ
+from integration.harness import AtRate, running_node, write_organ
+from integration.scene import Scene, nanoseconds, stamp_message
 from integration.soak import measure
 
 FLOOD_S, CALLS_PER_S = 3.0, 400.0

@@ -10,14 +10,8 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 
 from sensor_msgs.msg import PointField
 
-from integration.harness import (
-    CAMERA_FROM_ORGAN,
-    Scene,
-    read_answer,
-    registration_message,
-    running_node,
-    write_organ,
-)
+from integration.harness import running_node, write_organ
+from integration.scene import CAMERA_FROM_ORGAN, Scene, read_answer, registration_message
 
 stamps = itertools.count(1_700_000_000_123_456_789, 100_000_000)
 OK, INVALID = 0, 2

@@ -18,13 +18,8 @@ from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomic
 from rclpy.serialization import serialize_message
 from softtissue_msgs.srv import LoadOrgan, WarpPoints
 
-from integration.harness import (
-    CAMERA_FROM_ORGAN,
-    Scene,
-    registration_message,
-    running_node,
-    write_organ,
-)
+from integration.harness import running_node, write_organ
+from integration.scene import CAMERA_FROM_ORGAN, Scene, registration_message
 
 stamps = itertools.count(1_700_000_000_000_000_000, 100_000_000)
 OK, INVALID = 0, 2

@@ -13,7 +13,8 @@ from sensor_msgs.msg import PointCloud2
 from softtissue_msgs.msg import EstimatorStatus
 from softtissue_msgs.srv import WarpPoints
 
-from integration.harness import NodeProcess, PlainClient, nanoseconds, read_pose_message
+from integration.harness import NodeProcess, PlainClient
+from integration.scene import nanoseconds, read_pose_message
 from ros_domain import reserved
 from softtissue_estimator.ros.inputs.conversions import read_cloud
 from softtissue_estimator.ros.inputs.registration import Registration

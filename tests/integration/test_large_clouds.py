@@ -14,7 +14,8 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from integration.harness import Client, NodeProcess, Scene, executable, nanoseconds, write_organ
+from integration.harness import Client, NodeProcess, executable, write_organ
+from integration.scene import Scene, nanoseconds
 from recorded_data import RECORDED
 from ros_domain import environment_of
 from softtissue_estimator.ros.inputs.watchdog import TRANSPORT_HINT

@@ -9,7 +9,7 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 from softtissue_msgs.msg import EstimatorStatus
 from visualization_msgs.msg import Marker, MarkerArray
 
-from integration.harness import Client, NodeProcess, Scene, executable, write_organ
+from integration.harness import Client, NodeProcess, executable, write_organ
 from integration.layouts import (
     MARKERS,
     foxglove_layout,
@@ -18,6 +18,7 @@ from integration.layouts import (
     rviz_layout,
     rviz_topics,
 )
+from integration.scene import Scene
 from ros_domain import reserved
 from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_estimator.view.rendering import behind_glass, draw_solid, look_from

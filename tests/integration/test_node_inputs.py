@@ -8,7 +8,8 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from integration.harness import (
+from integration.harness import running_node, write_organ
+from integration.scene import (
     CAMERA_FROM_ORGAN,
     Scene,
     cloud_message,
@@ -16,8 +17,6 @@ from integration.harness import (
     read_answer,
     read_pose_message,
     registration_message,
-    running_node,
-    write_organ,
 )
 
 stamps = itertools.count(1_700_000_000_123_456_789, 100_000_000)

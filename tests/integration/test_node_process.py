@@ -22,17 +22,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from softtissue_msgs.msg import Distances
 from softtissue_msgs.srv import Distance, LoadOrgan, Reset, WarpPoints
 
-from integration.harness import (
-    CAMERA_FROM_ORGAN,
-    Client,
-    NodeProcess,
-    Scene,
-    executable,
-    nanoseconds,
-    read_answer,
-    registration_message,
-    write_organ,
-)
+from integration.harness import Client, NodeProcess, executable, write_organ
+from integration.scene import CAMERA_FROM_ORGAN, Scene, nanoseconds, read_answer, registration_message
 from memory_pools import pools_of
 from ros_domain import reserved
 from softtissue_estimator.ros.inputs.conversions import time_message

@@ -23,7 +23,8 @@ from softtissue_msgs.msg import EstimatorStatus, Structures
 from softtissue_msgs.srv import LoadOrgan
 from visualization_msgs.msg import MarkerArray
 
-from integration.harness import NodeProcess, PlainClient, Scene, nanoseconds, write_organ
+from integration.harness import NodeProcess, PlainClient, write_organ
+from integration.scene import Scene, nanoseconds
 from ros_domain import reserved
 
 SLOW = [sys.executable, str(Path(__file__).with_name("slow_node.py"))]

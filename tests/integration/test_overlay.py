@@ -16,7 +16,8 @@ from softtissue_msgs.msg import EstimatorStatus, Structures
 from std_msgs.msg import ColorRGBA
 
 from estimator.overlay.ball import balls
-from integration.harness import NodeProcess, PlainClient, executable, nanoseconds
+from integration.harness import NodeProcess, PlainClient, executable
+from integration.scene import nanoseconds
 from ros_domain import reserved
 from softtissue_estimator.ros.inputs.conversions import make_cloud, time_message
 

@@ -16,15 +16,8 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 from rcl_interfaces.srv import GetParameters
 from softtissue_msgs.srv import WarpPoints
 
-from integration.harness import (
-    AtRate,
-    Client,
-    NodeProcess,
-    Scene,
-    nanoseconds,
-    stamp_message,
-    write_organ,
-)
+from integration.harness import AtRate, Client, NodeProcess, write_organ
+from integration.scene import Scene, nanoseconds, stamp_message
 
 SOAK_S = float(os.environ.get("SOFTTISSUE_SOAK_S", "5"))
 RATE_HZ = 60.0

@@ -17,7 +17,8 @@ pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.serialization import deserialize_message
 
-from integration.harness import Client, NodeProcess, PlainClient, Scene, executable, nanoseconds, write_organ
+from integration.harness import Client, NodeProcess, PlainClient, executable, write_organ
+from integration.scene import Scene, nanoseconds
 from ros_domain import environment_of
 from softtissue_estimator.ros.tools.bag import Bag
 

@@ -15,16 +15,8 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 from geometry_msgs.msg import TransformStamped
 from softtissue_msgs.msg import EstimatorStatus
 
-from integration.harness import (
-    CAMERA_FROM_ORGAN,
-    Client,
-    NodeProcess,
-    Scene,
-    read_pose_message,
-    registration_message,
-    stamp_message,
-    write_organ,
-)
+from integration.harness import Client, NodeProcess, write_organ
+from integration.scene import CAMERA_FROM_ORGAN, Scene, read_pose_message, registration_message, stamp_message
 from ros_domain import reserved
 
 TESTS = Path(__file__).parents[1]

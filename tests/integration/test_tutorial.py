@@ -71,14 +71,8 @@ def test_commands_lead_to_weights_and_their_evaluation(followed):
 def test_node_answers_with_the_trained_weights(followed, tmp_path, domain):
     pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
     pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
-    from integration.harness import (
-        Client,
-        NodeProcess,
-        Scene,
-        executable,
-        read_answer,
-        write_organ,
-    )
+    from integration.harness import Client, NodeProcess, executable, write_organ
+    from integration.scene import Scene, read_answer
     from softtissue_estimator.config import EstimatorConfig
     from softtissue_estimator.estimators.estimator import create_estimator
     from softtissue_estimator.observation.observation import make_observation

@@ -15,108 +15,21 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 pytest.importorskip("viser", reason="the packages of requirements-viewer.txt are not installed")
 pytest.importorskip("playwright", reason="Playwright is not installed")
 
-from geometry_msgs.msg import Point, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from playwright.sync_api import sync_playwright
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 from softtissue_msgs.msg import Distances, EstimatorStatus, Structures
-from softtissue_msgs.srv import LoadOrgan, Register, Reset
-from std_msgs.msg import ColorRGBA
 
-from estimator.overlay.ball import balls
-from integration.harness import AtRate, NodeProcess, PlainClient, cloud_message, executable
+from integration.harness import AtRate, NodeProcess, PlainClient, executable
+from integration.played_node import ESTIMATOR, PlayedNode
 from ros_domain import reserved
-from softtissue_estimator.ros.inputs.conversions import make_cloud, time_message
 
 CHROMIUM = shutil.which("chromium")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not there (Debian's package chromium)")
-ESTIMATOR = "softtissue_estimator"
 # Software draws here: what changes is asserted, not how often.
 SOFTWARE = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
-S = 1_000_000_000
-RECORD = np.dtype([(name, "<f4") for name in ("x", "y", "z", "sigma")])
-RADIUS, ORGAN_RADIUS, SHIFT = 0.012, 0.05, 0.025
+SHIFT = 0.025
 ANSWER_HZ = 10.0
-KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-
-
-class PlayedNode:
-    """What a node publishes and offers: a ball that is the tumour in a ball that is the organ."""
-
-    def __init__(self, client):
-        self.node, self.asked = client.node, []
-        publish = self.node.create_publisher
-        self.points = publish(PointCloud2, f"{ESTIMATOR}/deformed_points", 10)
-        self.surface = publish(PointCloud2, f"{ESTIMATOR}/deformed_surface", 10)
-        self.poses = publish(PoseWithCovarianceStamped, f"{ESTIMATOR}/registration", 10)
-        self.distances = publish(Distances, f"{ESTIMATOR}/tool_distances", 10)
-        self.clouds = publish(PointCloud2, "surface_points", 10)
-        self.statuses = publish(EstimatorStatus, f"{ESTIMATOR}/status", KEPT)
-        self.structures = publish(Structures, f"{ESTIMATOR}/structures", KEPT)
-        self.services = [
-            self.node.create_service(Register, f"{ESTIMATOR}/register", self._on_register),
-            self.node.create_service(Reset, f"{ESTIMATOR}/reset", self._on_reset),
-            self.node.create_service(LoadOrgan, f"{ESTIMATOR}/load_organ", self._on_load_organ),
-        ]
-        self.shift, self.number = 0.0, 0
-        self.described, self.placed = balls(
-            [(0.0, 0.0, 0.0)], [RADIUS], kinds=["tumour"], surface=((0.0, 0.0, 0.0), ORGAN_RADIUS)
-        )
-
-    def close(self):
-        for one in (self.points, self.surface, self.poses, self.distances, self.clouds):
-            self.node.destroy_publisher(one)
-        for one in (self.statuses, self.structures):
-            self.node.destroy_publisher(one)
-        for service in self.services:
-            self.node.destroy_service(service)
-
-    def describe(self):
-        message = Structures(names=["growth"], kinds=["tumour"], colours=[ColorRGBA(g=1.0)])
-        message.header.frame_id = "organ"
-        faces = self.described.faces[0].ravel().tolist()
-        message.first_vertex, message.first_face = [0, len(self.placed.points)], [0, len(faces) // 3]
-        message.faces = message.surface_faces = faces
-        self.structures.publish(message)
-
-    def answer(self, level=EstimatorStatus.OK, reason=""):
-        self.number += 1
-        stamp = (1000 + self.number) * S
-        seen = self.placed.surface[::7] + np.array([0.0, 0.0, 0.3])
-        self.clouds.publish(cloud_message(seen, ["x", "y", "z"], stamp, "eye"))
-        pose = PoseWithCovarianceStamped()
-        pose.header.frame_id, pose.header.stamp = "eye", time_message(stamp)
-        pose.pose.pose.orientation.w, pose.pose.pose.position.z = 1.0, 0.3
-        self.poses.publish(pose)
-        self.points.publish(table(self.placed.points + np.array([self.shift, 0.0, 0.0]), stamp))
-        self.surface.publish(table(self.placed.surface, stamp))
-        status = EstimatorStatus(level=level, reason=reason, total_seconds=0.042, visible_fraction=0.25)
-        self.statuses.publish(status)
-        told = Distances(names=["growth"], kinds=["tumour"], distance=[0.0231], sigma=[0.0015])
-        told.nearest = [Point()]
-        self.distances.publish(told)
-
-    def _on_register(self, request, response):
-        self.asked.append(("register", request.apply))
-        response.result, response.message = Register.Response.NO_CLOUD, "expected a cloud, got none"
-        return response
-
-    def _on_reset(self, _request, response):
-        self.asked.append(("reset",))
-        return response
-
-    def _on_load_organ(self, request, response):
-        self.asked.append(("load_organ", request.folder))
-        response.message = f"loaded <b>{request.folder}</b>"
-        return response
-
-
-def table(points, stamp):
-    rows = np.zeros(len(points), dtype=RECORD)
-    for axis, name in enumerate("xyz"):
-        rows[name] = points[:, axis]
-    rows["sigma"] = 0.002
-    return make_cloud(rows, "organ", stamp)
 
 
 class Theatre(PlainClient):

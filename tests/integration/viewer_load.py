@@ -21,7 +21,8 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parents[1]))
     sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 
-from integration.harness import AtRate, NodeProcess, PlainClient, cloud_message, executable
+from integration.harness import AtRate, NodeProcess, PlainClient, executable
+from integration.scene import cloud_message
 from integration.test_viewer import ESTIMATOR, KEPT, SOFTWARE, S, table
 from ros_domain import reserved
 from softtissue_estimator.organ.organ import load_organ

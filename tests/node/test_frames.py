@@ -9,7 +9,8 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from integration.harness import CAMERA_FROM_ORGAN, Scene, pose_message, registration_message, write_organ
+from integration.harness import write_organ
+from integration.scene import CAMERA_FROM_ORGAN, Scene, pose_message, registration_message
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimators.estimator import Estimate, Estimator
 from softtissue_estimator.ros.frames import Frame, FrameAnswerer

@@ -13,7 +13,8 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 
 import trimesh
 
-from integration.harness import Scene, write_organ
+from integration.harness import write_organ
+from integration.scene import Scene
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.observation.observation import make_observation
 from softtissue_estimator.observation.rigid import transform_points

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from softtissue_msgs.srv import DecideRegistration
 
 from estimator.lump import make_lump
-from integration.harness import cloud_message, registration_message, stamp_message
+from integration.scene import cloud_message, registration_message, stamp_message
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.observation.rigid import RigidMotion

@@ -11,14 +11,14 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 
 from scipy.spatial.transform import Rotation
 
-from integration.harness import (
+from integration.harness import write_organ
+from integration.scene import (
     CAMERA_FROM_ORGAN,
     Scene,
     cloud_message,
     pose_message,
     registration_message,
     stamp_message,
-    write_organ,
 )
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError

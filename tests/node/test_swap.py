@@ -14,7 +14,8 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 
 from softtissue_msgs.srv import LoadOrgan
 
-from integration.harness import Scene, write_organ
+from integration.harness import write_organ
+from integration.scene import Scene
 from node.awaiting import run
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError

@@ -8,7 +8,7 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 
 from scipy.spatial.transform import Rotation
 
-from integration.harness import registration_message, stamp_message
+from integration.scene import registration_message, stamp_message
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.inputs.camera_poses import CameraPoses
 

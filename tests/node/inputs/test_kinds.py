@@ -11,7 +11,7 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 
 from softtissue_msgs.msg import Correspondences
 
-from integration.harness import cloud_message, stamp_message
+from integration.scene import cloud_message, stamp_message
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.inputs.counters import FrameCounters
 from softtissue_estimator.ros.inputs.intake import Intake

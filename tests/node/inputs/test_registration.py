@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from integration.harness import CAMERA_FROM_ORGAN, pose_message, registration_message, stamp_message
+from integration.scene import CAMERA_FROM_ORGAN, pose_message, registration_message, stamp_message
 from node.stand_ins import TF2, Recorder, stand_in
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.observation.rigid import transform_points

@@ -10,7 +10,7 @@ pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not
 
 from rclpy.qos import DurabilityPolicy
 
-from integration.harness import CAMERA_FROM_ORGAN, pose_message, registration_message
+from integration.scene import CAMERA_FROM_ORGAN, pose_message, registration_message
 from softtissue_estimator.ros.inputs.registration import Registration
 from softtissue_estimator.ros.inputs.registration_topics import RegistrationTopics
 

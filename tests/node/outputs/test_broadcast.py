@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
-from integration.harness import CAMERA_FROM_ORGAN
+from integration.scene import CAMERA_FROM_ORGAN
 from node.stand_ins import Recorder, stand_in
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.inputs.conversions import read_transform, stamp_ns

@@ -10,7 +10,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.serialization import deserialize_message
 from scipy.spatial.transform import Rotation
 
-from integration.harness import CAMERA_FROM_ORGAN, nanoseconds, read_pose_message
+from integration.scene import CAMERA_FROM_ORGAN, nanoseconds, read_pose_message
 from softtissue_estimator.estimators.diagnosis import RegistrationEstimate
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.ros.inputs.registration import OrganPose

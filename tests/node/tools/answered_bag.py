@@ -8,7 +8,7 @@ from softtissue_msgs.msg import EstimatorStatus, Structures
 from std_msgs.msg import ColorRGBA
 
 from estimator.overlay.ball import balls
-from integration.harness import cloud_message
+from integration.scene import cloud_message
 from softtissue_estimator.ros.inputs.conversions import make_cloud, time_message
 from softtissue_estimator.ros.tools.record.definitions import definition_of
 

@@ -10,7 +10,7 @@ from geometry_msgs.msg import Point
 from softtissue_msgs.msg import Distances, EstimatorStatus
 from softtissue_msgs.srv import LoadOrgan, Reset
 
-from integration.harness import cloud_message
+from integration.scene import cloud_message
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.viewer.calls import answer
 from softtissue_estimator.ros.viewer.messages import read_distances, read_health, read_observed
