@@ -27,7 +27,7 @@ from softtissue_estimator.estimators.elastic.relevance import (
     invert_lower,
 )
 
-LEAST_FIELD_SIGMA_M = 1e-4
+LEAST_FIELD_SIGMA_M = 5e-5
 """Standard deviation of the field of errors, at least: neighbours err together by as much, however good."""
 _ALL = slice(None)
 _BLOCK_ROWS = 160  # of a triangular matrix: as many as are worth a product of their own

@@ -78,6 +78,11 @@ class ElasticModel:
         """Nodes of the mesh, (n, 3) float64 m, on the device."""
         return to_tensor(self.mesh.nodes, self.device)
 
+    @property
+    def held(self) -> bool:
+        """Whether something holds the organ."""
+        return 3 * self.pushing < self.resting.response.shape[1]
+
     def surface_interpolation(self, points: FloatArray) -> csr_array:
         """Interpolate from the nodes to points (k, 3) m near the surface, (k, n); one table access a point."""
         return self.mesh.interpolation_in(points, self.sample_tet[self.lookup.nearest_sample(points)])

@@ -1,4 +1,4 @@
-"""Standard deviation of an answer at the nodes: of loads, of those that a frame leaves out, and of the model itself."""
+"""Standard deviation of an answer at the nodes: of loads, of what else may be supposed, and of the model itself."""
 
 import numpy as np
 import torch
@@ -35,6 +35,8 @@ def nodal_sigma(posterior: Posterior, nodes: Tensor, moved: Tensor, prior: Loads
         found = standard_deviation(posterior.tangent, posterior.amplitudes, posterior.moving(nodes))
         linear = found.square() + posterior.hidden_variance
     bent = torch.linalg.vector_norm(posterior.mean - moved, dim=1)
+    if posterior.rival_variance is not None:
+        linear = linear + posterior.rival_variance
     variance = linear + (MODEL_ERROR_SHARE * bent).square() + LEAST_DEVIATION_M**2
     return np.asarray(variance.sqrt().cpu().numpy(), dtype=np.float64)
 

@@ -1,6 +1,7 @@
 """What is known of an organ after an observation, and what of it helps with the next one."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,6 +42,8 @@ class Posterior:
         What it is conditioned on, with the matches that were supposed.
     hidden_variance : (n,) float64 m^2 or None
         Of the nodes, by loads that this posterior leaves out; None where it has all loads.
+    rival_variance : (n,) float64 m^2 or None
+        Of the nodes' components about the mean, by what else may be supposed; None where nothing else may.
     plausible : bool
         Whether it does to no element what no tissue endures.
     innovation : float
@@ -59,6 +62,7 @@ class Posterior:
     registration: RegistrationError
     observed: Observed
     hidden_variance: Tensor | None = None
+    rival_variance: Tensor | None = None
     plausible: bool = True
     innovation: float = math.nan
     attachment_moves: bool = False
@@ -118,6 +122,8 @@ class WarmStart:
     ratio : int
     hidden_variance : (n,) float64 m^2 or None
         Of the nodes, by the loads that are left out; None where that is not known.
+    rival_variance : (n,) float64 m^2 or None
+        As in `Posterior`.
     """
 
     loads: Tensor
@@ -127,6 +133,11 @@ class WarmStart:
     model_sigma_m: float
     ratio: int
     hidden_variance: Tensor | None = None
+    rival_variance: Tensor | None = None
+
+    def completed(self, posterior: Posterior) -> Posterior:
+        """Return a posterior by these loads with the variance of what it leaves out."""
+        return replace(posterior, hidden_variance=self.hidden_variance, rival_variance=self.rival_variance)
 
 
 def warm_start(posterior: Posterior, leading: Tensor) -> WarmStart:
@@ -146,4 +157,26 @@ def warm_start(posterior: Posterior, leading: Tensor) -> WarmStart:
         posterior.amplitudes.prior,
         posterior.model_sigma_m,
         posterior.ratio,
+        rival_variance=posterior.rival_variance,
     )
+
+
+def rival_variance(mean: Tensor, means: Sequence[Tensor], log_odds: Sequence[float]) -> Tensor:
+    """Return what less likely explanations add to the variance of the nodes' components about another's mean, (n,) m^2.
+
+    The variance of a mixture about the mean of one of its parts, without the variances of the parts.
+
+    Parameters
+    ----------
+    mean : (n, 3) float64 m
+        Displacement of the nodes by the explanation that counts.
+    means : sequence of (n, 3) float64 m
+        By all, that one among them.
+    log_odds : sequence of float
+        Of each against the one that counts.
+    """
+    odds = [math.exp(min(each, 0.0)) for each in log_odds]
+    variance = torch.zeros(len(mean), dtype=mean.dtype, device=mean.device)
+    for other, share in zip(means, odds, strict=True):
+        variance += share / sum(odds) * (other - mean).square().mean(dim=1)
+    return variance

@@ -79,6 +79,15 @@ class RegistrationError:
         """Return the same distribution with standard deviations multiplied by a factor."""
         return replace(self, root=factor * self.root, scales=tuple(scale / factor for scale in self.scales))
 
+    @property
+    def sizes(self) -> tuple[RegistrationError, ...]:
+        """Distributions of which one may be its own: of all sizes, and of the largest shift without a turn."""
+        found = [self.scaled(scale) for scale in self.scales]
+        if len(found) > 1:
+            turn = np.diag([1.0] * 3 + [min(self.scales) / max(self.scales)] * 3)
+            found.append(replace(found[-1], root=turn @ found[-1].root))
+        return tuple(found)
+
     def widened(self, by: RegistrationError) -> RegistrationError:
         """Return the distribution of the sum of this error and one more, whose covariance is that of `by`."""
         root = np.linalg.cholesky(self.root @ self.root.T + by.root @ by.root.T)

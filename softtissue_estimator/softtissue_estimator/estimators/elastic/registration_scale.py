@@ -29,23 +29,30 @@ class Explaining(Protocol):
         """See `Solver.again`."""
 
 
-def explained(solver: Explaining, registration: RegistrationError, scale: float) -> Posterior:
-    """Make two steps with a registration whose error is `scale` times as large as that of `registration`."""
+def explained(solver: Explaining, registration: RegistrationError) -> Posterior:
+    """Make two steps with what is supposed of the registration."""
     # The first step is large, and what it collapses comes back in the next.
-    return solver.improve(solver.start(registration.scaled(scale)), guarded=False)
+    return solver.improve(solver.start(registration), guarded=False)
 
 
 def likeliest(solver: Explaining, found: Sequence[Posterior]) -> Posterior:
     """Return the posterior of the observation with the largest evidence."""
-    # With the same error of the model: a larger one would excuse what is left unexplained.
+    evidence = comparable(solver, found)
+    return found[max(range(len(found)), key=evidence.__getitem__)]
+
+
+def comparable(solver: Explaining, found: Sequence[Posterior]) -> list[float]:
+    """Return the log-evidence of each of several posteriors of an observation, with the same error of the model.
+
+    A larger one would excuse what is left unexplained.
+    """
     sigma = min(posterior.model_sigma_m for posterior in found)
-
-    def evidence(posterior: Posterior) -> float:
-        if posterior.model_sigma_m == sigma:
-            return posterior.log_evidence
-        return solver.again(posterior, posterior.registration, sigma).log_evidence
-
-    return max(found, key=evidence)
+    return [
+        posterior.log_evidence
+        if posterior.model_sigma_m == sigma
+        else solver.again(posterior, posterior.registration, sigma).log_evidence
+        for posterior in found
+    ]
 
 
 def settled(solver: Explaining, posterior: Posterior) -> Posterior:

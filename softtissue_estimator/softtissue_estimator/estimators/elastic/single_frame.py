@@ -1,24 +1,52 @@
 """Explain an observation without knowing anything from before."""
 
-from softtissue_estimator.estimators.elastic.posterior import Posterior
-from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest, settled
+from dataclasses import replace
+
+import numpy as np
+
+from softtissue_estimator.estimators.elastic.posterior import Posterior, rival_variance
+from softtissue_estimator.estimators.elastic.registration_scale import (
+    comparable,
+    explained,
+    settled,
+)
 from softtissue_estimator.estimators.elastic.solver import Solver
-from softtissue_estimator.estimators.elastic.suppositions import freed
 
 MOST_RATIO_CHANGES = 2
 """Of Poisson's ratio: each makes a step, and one more for every ratio that is tried."""
+LEAST_GAIN_OF_MOVING = 4.0
+"""Which gain of the log-evidence shows that what holds the organ moves. Of twenty organs of a training seed, seen in
+six ways each, those that were told right gain 2.8 at most, and eleven that are said to be held by 30 % more 5 to 34."""
 
 
 def solve(solver: Solver) -> Posterior:
     """Return the posterior of what a solver observes, with the likeliest registration, attachment and ratio."""
-    registration = solver.registration
-    found = [explained(solver, registration, scale) for scale in registration.scales]
-    solver, posterior = freed(solver, settled(solver, likeliest(solver, found)))
+    solver, posterior = _likeliest(solver)
+    rivals = posterior.rival_variance
+    posterior = settled(solver, posterior)
     for _ in range(MOST_RATIO_CHANGES):
         before, posterior = posterior.ratio, _improve_by_choice(solver, posterior)
         if posterior.ratio == before:
             break
-    return posterior
+    return replace(posterior, rival_variance=rivals)
+
+
+def _likeliest(solver: Solver) -> tuple[Solver, Posterior]:
+    """Return the likeliest posterior with a registration of any size of error, of an organ that is held as told or not.
+
+    Either explains what is seen of the other: only all of them together can be told apart. The others are part of its
+    standard deviation. The solver goes on with what is supposed.
+    """
+    candidates = [
+        (solver.supposing(moves), registration, LEAST_GAIN_OF_MOVING * moves)
+        for moves in ((False, True) if solver.held else (False,))
+        for registration in solver.registration.sizes
+    ]
+    found = [explained(supposing, registration) for supposing, registration, _ in candidates]
+    worth = np.subtract(comparable(solver, found), [cost for _, _, cost in candidates])
+    best = int(worth.argmax())
+    rivals = rival_variance(found[best].mean, [each.mean for each in found], list(worth - worth[best]))
+    return candidates[best][0], replace(found[best], rival_variance=rivals)
 
 
 def _improve_by_choice(solver: Solver, posterior: Posterior) -> Posterior:

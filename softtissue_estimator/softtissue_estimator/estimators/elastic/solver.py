@@ -60,8 +60,8 @@ class Solver:
     ----------
     ratios : frozenset of int
         Numbers of the Poisson's ratios that the organ may have.
-    identified, patch_share : bool, float
-        Whether it is given which part of the organ each patch shows; share of the organ's surface that a patch is.
+    held, identified, patch_share : bool, bool, float
+        Whether something holds it; whether each patch is given with its place; share of its surface that a patch is.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Solver:
         model_sigma_m: float,
     ) -> None:
         self._model, self._observation, self.registration = model, observation, registration
-        self.prior = LoadsPrior(prior_sigma_m, model.pushing)
+        self.prior, self.held = LoadsPrior(prior_sigma_m, model.pushing), model.held
         self.identified, self.ratios = observation.identified, model.ratios.numbers
         self.patch_share = CELL_M**2 / float(model.organ.surface_lookup.patch_areas.sum())
         self._misfit = Misfit(max(model_sigma_m, observation.least_sigma_m))
@@ -170,7 +170,7 @@ class Solver:
                 break
         if misfit >= LOST_TRACK_MISFIT_M:
             return None
-        return replace(posterior, hidden_variance=start.hidden_variance, innovation=innovation)
+        return start.completed(replace(posterior, innovation=innovation))
 
     def warm_start(self, posterior: Posterior, hidden: Tensor | None = None) -> WarmStart:
         """Return what the next observation takes of a posterior over all loads.
