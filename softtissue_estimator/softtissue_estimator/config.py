@@ -36,7 +36,7 @@ class EstimatorConfig:
 
     estimator: str = setting(
         "elastic",
-        "Which estimator answers: 'elastic', 'hybrid' (elastic and a network), 'paper' (U-Net) or a registered one.",
+        "Which estimator answers: 'elastic', 'paper' (U-Net) or a registered one.",
     )
     organ: str = setting("", "Folder with organ.yaml; empty for the bundled phantom liver.")
     organ_root: tuple[str, ...] = setting(
@@ -51,20 +51,19 @@ class EstimatorConfig:
     precision: str = setting(
         "auto",
         "Floating-point format of the network's convolutions; 'auto' takes float16 where the device computes in it, "
-        "else float32. Used by 'hybrid' and 'paper'.",
+        "else float32. Used by 'paper'.",
         choices=("auto", "float32", "bfloat16", "float16"),
     )
     autostart: bool = setting(True, "Configure and activate the node without being asked.")
     tracking: bool = setting(
         False,
         "Start every answer from the one before and improve it between frames, as the node does by default; otherwise "
-        "every frame is answered on its own. Used by 'elastic' and 'hybrid'.",
+        "every frame is answered on its own. Used by 'elastic'.",
     )
     tracking_patience_s: float = setting(
         0.02,
         "With tracking, how long an answer waits at most for what is found out between frames, where that takes longer "
-        "than on two idle cores. If it is never reached, the same clouds have the same answers. Used by 'elastic' and "
-        "'hybrid'.",
+        "than on two idle cores. If it is never reached, the same clouds have the same answers. Used by 'elastic'.",
         unit="s",
         limits=(0.0, 3600.0),
     )

@@ -162,7 +162,7 @@ def test_launch_file_refuses_before_anything_starts(launch_file, given, words):
 
 
 def test_every_estimator_is_named_in_the_help(launch_file):
-    assert "elastic, hybrid, paper" in launch_file.PARAMETERS["estimator"]
+    assert "elastic, paper" in launch_file.PARAMETERS["estimator"]
 
 
 def test_rviz_looks_where_the_node_publishes(launch_file, monkeypatch, tmp_path):

@@ -67,6 +67,6 @@ def test_live_parameters_change_and_others_only_when_unconfigured():
         parameters.changed_config(config, device, configured=True)
     with pytest.raises(InvalidInputError, match="one of auto, cuda, cpu"):
         parameters.changed_config(config, [Parameter("device", value="tpu")], configured=False)
-    with pytest.raises(InvalidInputError, match="elastic, hybrid, paper.*'elastik'"):
+    with pytest.raises(InvalidInputError, match="elastic, paper.*'elastik'"):
         parameters.changed_config(config, [Parameter("estimator", value="elastik")], configured=False)
     assert frozenset(f.name for f in dataclasses.fields(EstimatorConfig)) >= parameters.LIVE

@@ -180,17 +180,13 @@ def _paper(config: EstimatorConfig) -> Estimator:
     return _construct("paper.estimator", "PaperEstimator", config)
 
 
-def _hybrid(config: EstimatorConfig) -> Estimator:
-    return _construct("hybrid.estimator", "HybridEstimator", config)
-
-
 def _construct(module: str, name: str, config: EstimatorConfig) -> Estimator:
     # Imported only when asked for: the elastic estimator must not wait for networks.
     factory: Factory = getattr(importlib.import_module(f"softtissue_estimator.estimators.{module}"), name)
     return factory(config)
 
 
-_factories: dict[str, Factory] = {"elastic": _elastic, "hybrid": _hybrid, "paper": _paper}
+_factories: dict[str, Factory] = {"elastic": _elastic, "paper": _paper}
 
 
 def register_estimator(name: str, factory: Factory) -> None:

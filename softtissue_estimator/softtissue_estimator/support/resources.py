@@ -51,9 +51,9 @@ def bundled_organ() -> Path:
     return resource("organs", DEFAULT_ORGAN)
 
 
-def bundled_checkpoint(estimator: str = "paper") -> Path:
-    """Weights of the network that an estimator uses unless others are named."""
-    return resource("weights", f"{estimator}.safetensors")
+def bundled_checkpoint() -> Path:
+    """Weights of the network that estimator 'paper' uses unless others are named."""
+    return resource("weights", "paper.safetensors")
 
 
 def bundled_bag() -> Path:

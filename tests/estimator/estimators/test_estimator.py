@@ -17,7 +17,7 @@ def test_configuration_chooses_the_estimator():
 
 
 def test_unknown_estimator_is_a_sentence_with_the_known_ones():
-    with pytest.raises(InvalidInputError, match="expected one of elastic, hybrid, paper, got 'magic'"):
+    with pytest.raises(InvalidInputError, match="expected one of elastic, paper, got 'magic'"):
         create_estimator(EstimatorConfig(estimator="magic"))
 
 

@@ -11,7 +11,7 @@ from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
 from softtissue_estimator.organ.organ import load_organ
 from softtissue_estimator.support.resources import bundled_checkpoint, bundled_organ
 from softtissue_training.evaluation import network_timing, other_runtimes
-from softtissue_training.evaluation.network_cases import NetworkCase, hybrid_case, paper_case
+from softtissue_training.evaluation.network_cases import paper_case
 from softtissue_training.evaluation.network_timing import OURS, main, table, time_networks
 
 CONFIG = EstimatorConfig(device="cpu")
@@ -32,22 +32,20 @@ def test_every_network_is_timed_in_every_way_that_there_is(organ, absent, monkey
     monkeypatch.setattr(network_timing, "_CUBE", (16, 16, 16))
     said = []
     rows = time_networks(organ, CONFIG, 2, said.append)
-    for name, box in (("paper", [32, 16, 24]), ("hybrid", [28, 16, 20])):
-        own = [row for row in rows if row["network"] == name]
-        plain = [row for row in own if row["runtime"] == "torch, plain"]
-        assert [(row["shape"], row["precision"]) for row in plain] == [
-            ([16, 16, 16], "float32"),
-            (box, "float32"),
-        ]
-        ours = {(row["precision"], row["threads"]): row for row in own if row["runtime"] == OURS}
-        assert ours["float32", 1]["difference_mm"] < 1e-3
-        assert all(row["shape"] == box and row["difference_mm"] < 0.3 for row in ours.values())
-        assert any(
-            f"{name}: no rows for OpenVINO, which needs the packages openvino" in text for text in said
-        )
+    box = [32, 16, 24]
+    assert {row["network"] for row in rows} == {"paper"}
+    plain = [row for row in rows if row["runtime"] == "torch, plain"]
+    assert [(row["shape"], row["precision"]) for row in plain] == [
+        ([16, 16, 16], "float32"),
+        (box, "float32"),
+    ]
+    ours = {(row["precision"], row["threads"]): row for row in rows if row["runtime"] == OURS}
+    assert ours["float32", 1]["difference_mm"] < 1e-3
+    assert all(row["shape"] == box and row["difference_mm"] < 0.3 for row in ours.values())
+    assert any("paper: no rows for OpenVINO, which needs the packages openvino" in text for text in said)
     assert all(0.0 < row["min_ms"] <= row["p50_ms"] <= row["p95_ms"] for row in rows)
     shown = table(rows)
-    assert "| paper | torch, plain | float32 |" in shown and "| 28 x 16 x 20 |" in shown
+    assert "| paper | torch, plain | float32 |" in shown and "| 32 x 16 x 24 |" in shown
     assert len(shown.splitlines()) == len(rows) + 2
 
 
@@ -69,27 +67,19 @@ def test_another_runtime_has_its_rows_where_it_is_installed(organ, monkeypatch):
     monkeypatch.setattr(network_timing, "RUNTIMES", {"OpenVINO": slower_and_wrong})
     monkeypatch.setattr(network_timing, "missing_packages", lambda name: [])
     monkeypatch.setattr(network_timing, "NetworkRuntime", Plain)  # ours are timed above
-    small = NetworkCase("hybrid", torch.nn.Conv3d(2, 3, 1), torch.ones(1, 2, 4, 4, 4), lambda a, b: 0.0)
     case = paper_case(organ, CONFIG)
     network = torch.nn.Conv3d(case.inputs.shape[1], case.network(case.inputs).shape[1], 1)
     case = dataclasses.replace(case, network=network)  # with its own input and meaning of a difference
-    monkeypatch.setattr(network_timing, "hybrid_case", lambda organ, config: small)
     monkeypatch.setattr(network_timing, "paper_case", lambda organ, config: case)
     rows = [row for row in time_networks(organ, CONFIG, 1, lambda _: None) if row["runtime"] == "OpenVINO"]
-    assert {(row["network"], row["precision"]) for row in rows} == {
-        (network, precision)
-        for network in ("paper", "hybrid")
-        for precision in ("float32", "bfloat16", "float16")
-    }
+    assert {row["precision"] for row in rows} == {"float32", "bfloat16", "float16"}
     # 0.01 of each component's unit.
     unit_mm = 1e3 * load_checkpoint(bundled_checkpoint()).spec.output_scale
-    paper = next(row for row in rows if row["network"] == "paper")
-    assert paper["difference_mm"] == pytest.approx(0.01 * unit_mm * 3**0.5, abs=1e-3)
+    assert rows[0]["difference_mm"] == pytest.approx(0.01 * unit_mm * 3**0.5, abs=1e-3)
 
 
-@pytest.mark.parametrize("make", [paper_case, hybrid_case])
-def test_a_case_is_a_real_input_and_its_differences_are_of_answers(organ, make):
-    case = make(organ, CONFIG)
+def test_a_case_is_a_real_input_and_its_differences_are_of_answers(organ):
+    case = paper_case(organ, CONFIG)
     with torch.inference_mode():
         outputs = case.network(case.inputs)
     assert case.difference_mm(outputs, outputs) == 0.0

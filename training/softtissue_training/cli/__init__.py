@@ -16,7 +16,6 @@ _MODULES = {
     "digest": "records",
     "pack": "records",
     "convert": "records",
-    "posterior": "posterior",
     "train": "train",
     "evaluate": "evaluate",
     "benchmark": "benchmark",

@@ -36,8 +36,9 @@ def add(commands: Commands) -> None:
     )
     benchmark.add_argument(
         "--estimators",
+        default="zero,rigid,rbf,fem,elastic,paper",
         metavar="LIST",
-        help="as in `evaluate insilico` (default: zero,rigid,rbf,fem,elastic,paper and, if there is one, hybrid)",
+        help="as in `evaluate insilico` (default: %(default)s)",
     )
     benchmark.add_argument(
         "--label",
@@ -58,7 +59,7 @@ def add(commands: Commands) -> None:
         default=(),
         metavar="A:B",
         help="pairs of estimators to compare in bins of visible share, depth and displacement (default: "
-        "hybrid:elastic hybrid:paper elastic:rigid paper:rigid, as far as they are in the list)",
+        "elastic:paper elastic:rigid paper:rigid, as far as they are in the list)",
     )
     benchmark.add_argument(
         "--suites",
@@ -114,7 +115,6 @@ def add(commands: Commands) -> None:
 
 def _benchmark(options: argparse.Namespace) -> int:
     from softtissue_estimator.errors import InvalidInputError
-    from softtissue_estimator.estimators.estimator import estimator_names
     from softtissue_estimator.organ.organ_file import read_organ_file
     from softtissue_estimator.support.resources import bundled_organ
     from softtissue_training.evaluation.benchmark.pairs import parse_pairs
@@ -135,10 +135,7 @@ def _benchmark(options: argparse.Namespace) -> int:
         suites.append("user")
     if options.suites is not None:
         suites = [name.strip() for name in options.suites.split(",") if name.strip()]
-    listed = options.estimators
-    if listed is None:
-        listed = "zero,rigid,rbf,fem,elastic,paper" + (",hybrid" if "hybrid" in estimator_names() else "")
-    methods = relabelled(parse_methods(listed, options.device), options.label)
+    methods = relabelled(parse_methods(options.estimators, options.device), options.label)
     plan = make_plan(
         suites,
         surfaces,

@@ -30,9 +30,9 @@ def add(experiments: Commands) -> None:
     breathing.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the report")
     breathing.add_argument(
         "--estimators",
-        default="zero,rigid,rbf,elastic,hybrid,paper",
+        default="zero,rigid,rbf,elastic,paper",
         metavar="LIST",
-        help="separated by commas: zero, rigid, rbf, elastic, hybrid, paper or another estimator of the product; "
+        help="separated by commas: zero, rigid, rbf, elastic, paper or another estimator of the product; "
         "NAME=FILE.safetensors for weights of your own (default: %(default)s)",
     )
     breathing.add_argument(

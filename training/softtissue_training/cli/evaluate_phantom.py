@@ -26,7 +26,7 @@ def add(experiments: Commands) -> None:
     phantom.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the report")
     phantom.add_argument(
         "--estimators",
-        default="zero,rigid,rbf,elastic,hybrid,paper",
+        default="zero,rigid,rbf,elastic,paper",
         metavar="LIST",
         help="separated by commas, as for insilico (default: %(default)s)",
     )

@@ -28,7 +28,7 @@ def add(commands: Commands) -> None:
     realtime.add_argument("--quick", action="store_true", help="at most 5 minutes on two cores")
     realtime.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="(default: cpu)")
     realtime.add_argument(
-        "--estimators", default="elastic,hybrid,paper", metavar="LIST", help="(default: %(default)s)"
+        "--estimators", default="elastic,paper", metavar="LIST", help="(default: %(default)s)"
     )
     realtime.add_argument(
         "--again",

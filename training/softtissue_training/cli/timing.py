@@ -24,7 +24,7 @@ def add(commands: Commands) -> None:
     timing.add_argument("--organ", type=Path, metavar="DIR", help="organ folder (default: the bundled one)")
     timing.add_argument(
         "--estimators",
-        default="elastic,hybrid,paper",
+        default="elastic,paper",
         metavar="LIST",
         help="separated by commas (default: %(default)s)",
     )

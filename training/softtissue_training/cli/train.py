@@ -5,19 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_training.cli.arguments import Commands, positive
-from softtissue_training.learning.hybrid.config import HYBRID_CONFIGS, get_hybrid_config
 from softtissue_training.learning.precision import PRECISIONS
 from softtissue_training.learning.training_config import CONFIGS, get_config
-
-if TYPE_CHECKING:
-    import torch
-
-    from softtissue_training.learning.schedule import Schedule
-    from softtissue_training.learning.train import RunOptions
 
 _DESCRIPTION = """\
 Train the network on simulations made by `generate`. One organ in ten is held out for validation.
@@ -35,7 +28,6 @@ examples:
   softtissue-train train --data sims --out run --config paper --time-limit 600
   softtissue-train train --data sims.pack --out run --config paper-coarse --steps 20000 --patience 10 --tensorboard
   softtissue-train train --data sims --out run --config paper-coarse --steps 20000 --resume
-  softtissue-train train --data posteriors --out run --config hybrid --time-limit 40 --threads 2
   torchrun --nproc-per-node 2 -m softtissue_training train --data sims --out run --steps 20000
 
 next: softtissue-train evaluate --help, and softtissue-train export OUT FILE for the node
@@ -55,19 +47,17 @@ def add(commands: Commands) -> None:
         "--data",
         type=Path,
         required=True,
-        nargs="+",
         metavar="PATH",
-        help="folder or packed file of simulations; for the hybrid network, folders written by `posterior`",
+        help="folder or packed file of simulations",
     )
     train.add_argument("--out", type=Path, required=True, metavar="OUT", help="folder of the run")
     train.add_argument(
         "--config",
-        choices=(*CONFIGS, *HYBRID_CONFIGS),
+        choices=tuple(CONFIGS),
         default="paper",
         help="paper: 4.7 mm cells, for a GPU; paper-coarse: 9.4 mm, a fifth of the work; paper-original: as "
-        "published, in the organ's frame; tiny: for trying out; overfit: a few organs by heart; hybrid: what the "
-        "elastic posterior leaves, 9.4 mm, for a CPU; hybrid-full: 4.7 mm, for a GPU; hybrid-tiny: "
-        "for trying out (default: paper)",
+        "published, in the organ's frame; tiny: for trying out; overfit: a few organs by heart (default: "
+        "paper)",
     )
     train.add_argument("--resume", action="store_true", help="go on with the unfinished run in OUT")
     train.add_argument(
@@ -118,8 +108,7 @@ def _add_machine(group: Any) -> None:
         type=positive,
         default=1,
         metavar="N",
-        help="processes that voxelise the simulations at the start; for the hybrid network, threads that make batches "
-        "(default: 1)",
+        help="processes that voxelise the simulations at the start (default: 1)",
     )
     group.add_argument(
         "--drawers",
@@ -189,11 +178,11 @@ def _train(options: argparse.Namespace) -> int:
     import torch
 
     from softtissue_estimator.inference.device import choose_device
-    from softtissue_training.learning.distributed import local_device
+    from softtissue_training.learning.distributed import joined, local_device
     from softtissue_training.learning.precision import choose_bfloat16
     from softtissue_training.learning.run_files import STATE
     from softtissue_training.learning.schedule import Schedule
-    from softtissue_training.learning.train import RunOptions
+    from softtissue_training.learning.train import RunOptions, train
 
     if (options.out / STATE).exists() and not options.resume:
         raise InvalidInputError(f"{options.out} holds a run already; add --resume to go on with it")
@@ -217,50 +206,12 @@ def _train(options: argparse.Namespace) -> int:
         tensorboard=options.tensorboard,
         command=" ".join(["softtissue-train", *sys.argv[1:]]),
     )
-    if options.config in HYBRID_CONFIGS:
-        return _train_hybrid(options, schedule, run_options, device)
-    return _train_paper(options, schedule, run_options, device)
-
-
-def _train_paper(
-    options: argparse.Namespace, schedule: Schedule, run_options: RunOptions, device: torch.device
-) -> int:
-    from softtissue_training.learning.distributed import joined
-    from softtissue_training.learning.train import train
-
-    if len(options.data) > 1:
-        raise InvalidInputError(f"--data: expected one folder or file, got {len(options.data)}")
     config = get_config(options.config, **_config_changes(options))
     with joined(device) as ranks:
-        summary = train(options.data[0], options.out, config, schedule, run_options, ranks)
+        summary = train(options.data, options.out, config, schedule, run_options, ranks)
     if ranks.writes:
-        _say_end(options, summary.text())
-    return 0
-
-
-def _train_hybrid(
-    options: argparse.Namespace, schedule: Schedule, run_options: RunOptions, device: torch.device
-) -> int:
-    from softtissue_training.learning.distributed import joined
-    from softtissue_training.learning.hybrid.train import train_hybrid
-
-    changes = _config_changes(options)
-    unfit = {"noise_m", "correspondences", "larger_box_share"} & set(changes)
-    if unfit:
-        raise InvalidInputError(
-            "--noise, --correspondences and --larger-boxes: expected none of them for the hybrid network, whose views "
-            f"are drawn by `posterior`, got {', '.join(sorted(unfit))}"
+        print(summary.text())
+        print(
+            f"weights   {options.out}/best.safetensors; for the node: softtissue-train export {options.out} FILE"
         )
-    config = get_hybrid_config(options.config, **changes)
-    with joined(device) as ranks:
-        summary = train_hybrid(options.data, options.out, config, schedule, run_options, ranks)
-    if ranks.writes:
-        _say_end(options, summary.text())
     return 0
-
-
-def _say_end(options: argparse.Namespace, summary: str) -> None:
-    print(summary)
-    print(
-        f"weights   {options.out}/best.safetensors; for the node: softtissue-train export {options.out} FILE"
-    )

@@ -1,4 +1,4 @@
-"""The bundled networks with an input of an organ that bends, for timing them and for comparing their answers."""
+"""The bundled network with an input of an organ that bends, for timing it and for comparing its answers."""
 
 from __future__ import annotations
 
@@ -6,19 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from torch import Tensor, nn
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
-from softtissue_estimator.estimators.hybrid.checkpoint import load_hybrid_checkpoint
-from softtissue_estimator.estimators.hybrid.input import (
-    assemble_hybrid_input,
-    hybrid_grid,
-    posterior_cells,
-    remainder,
-)
-from softtissue_estimator.estimators.hybrid.posterior import make_reader, observed_misfit
 from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint
 from softtissue_estimator.estimators.paper.network_input import (
     cached_channels,
@@ -75,34 +65,6 @@ def paper_case(organ: Organ, config: EstimatorConfig) -> NetworkCase:
         return 1e3 * max(float(moved.max()), float(spread.max()) if spec.sigma_is_calibrated else 0.0)
 
     return NetworkCase("paper", checkpoint.network, inputs, difference_mm)
-
-
-def hybrid_case(organ: Organ, config: EstimatorConfig) -> NetworkCase:
-    """Return the hybrid network with the bundled weights and an input of this organ.
-
-    Its answers are a displacement and a standard deviation; the larger difference of the two counts.
-    """
-    checkpoint = load_hybrid_checkpoint(bundled_checkpoint("hybrid"))
-    spec = checkpoint.spec
-    channels = cached_channels(organ, hybrid_grid(organ.surface, spec))
-    cells = posterior_cells(channels.signed_distance, channels.grid.spacing)
-    elastic = ElasticEstimator(config)
-    elastic.load_organ(organ)
-    try:
-        reader = make_reader(elastic.mesh, channels.grid.points()[cells.numpy()])
-        estimate = elastic.estimate(_observation(organ, config))
-    finally:
-        elastic.close()
-    mean, sigma = (torch.from_numpy(part) for part in reader.on_grid(estimate))
-    inputs = assemble_hybrid_input(channels, cells, mean, sigma, observed_misfit(estimate), spec)
-
-    def difference_mm(first: Tensor, second: Tensor) -> float:
-        answers = [remainder(out[0].flatten(1)[:, cells].T.double(), sigma, spec) for out in (first, second)]
-        moved = (answers[0][0] - answers[1][0]).norm(dim=1)
-        spread = (answers[0][1] - answers[1][1]).abs()
-        return 1e3 * float(torch.maximum(moved, spread).max())
-
-    return NetworkCase("hybrid", checkpoint.network, inputs, difference_mm)
 
 
 def _observation(organ: Organ, config: EstimatorConfig) -> Observation:

@@ -23,7 +23,7 @@ from softtissue_estimator.inference.precision import PRECISIONS, choose_precisio
 from softtissue_estimator.inference.runtime import NetworkRuntime
 from softtissue_estimator.organ.organ import Organ, load_organ
 from softtissue_estimator.support.resources import bundled_organ
-from softtissue_training.evaluation.network_cases import NetworkCase, hybrid_case, paper_case
+from softtissue_training.evaluation.network_cases import NetworkCase, paper_case
 from softtissue_training.evaluation.other_runtimes import RUNTIMES, missing_packages
 
 Progress = Callable[[str], None]
@@ -54,9 +54,9 @@ class _Entry:
 def time_networks(
     organ: Organ, config: EstimatorConfig, repeats: int, progress: Progress
 ) -> list[dict[str, Any]]:
-    """Time the bundled networks of 'paper' and 'hybrid', all in one run and in turns.
+    """Time the bundled network of 'paper' in every way, in turns.
 
-    Each is run as plain torch modules in float32 on the paper's cube of 64 cells a side and on the organ's box; as the
+    It is run as plain torch modules in float32 on the paper's cube of 64 cells a side and on the organ's box; as the
     estimators run it, in each format that the device computes in; and, on a CPU, by ONNX Runtime and OpenVINO where
     they are installed.
 
@@ -82,12 +82,9 @@ def time_networks(
     if repeats < 1:
         raise InvalidInputError(f"repeats: expected at least 1, got {repeats}")
     device = choose_device(config.device)
-    rows = []
-    for make in (paper_case, hybrid_case):
-        case = make(organ, config)
-        progress(f"{case.name}: preparing its network for every runtime")
-        rows += _time(_entries(case, device, progress, cube=True), repeats, progress)
-    return rows
+    case = paper_case(organ, config)
+    progress(f"{case.name}: preparing its network for every runtime")
+    return _time(_entries(case, device, progress, cube=True), repeats, progress)
 
 
 def time_reference(device: torch.device, repeats: int, progress: Progress) -> list[dict[str, Any]]:

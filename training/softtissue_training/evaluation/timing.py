@@ -40,7 +40,7 @@ class TimingPlan:
         Of the frames; what an estimator does between them is part of a stream. 0 for no pause.
     """
 
-    estimators: tuple[str, ...] = ("elastic", "hybrid", "paper")
+    estimators: tuple[str, ...] = ("elastic", "paper")
     points: tuple[int, ...] = (1_000, 10_000, 40_000)
     frames: int = 100
     rate_hz: float = 30.0

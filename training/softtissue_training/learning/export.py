@@ -5,12 +5,7 @@ from __future__ import annotations
 from pathlib import Path, PurePath
 from typing import Any
 
-from softtissue_estimator.estimators.hybrid.checkpoint import (
-    KIND,
-    load_hybrid_checkpoint,
-    save_hybrid_checkpoint,
-)
-from softtissue_estimator.estimators.paper.checkpoint import checkpoint_kind, load_checkpoint, save_checkpoint
+from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint, save_checkpoint
 
 
 def export(checkpoint: Path, file: Path) -> dict[str, Any]:
@@ -28,11 +23,6 @@ def export(checkpoint: Path, file: Path) -> dict[str, Any]:
     CheckpointError
         The checkpoint is missing or damaged.
     """
-    if checkpoint_kind(checkpoint) == KIND:
-        hybrid = load_hybrid_checkpoint(checkpoint)
-        provenance = _portable(hybrid.provenance)
-        save_hybrid_checkpoint(file, hybrid.network, hybrid.spec, provenance, half=True)
-        return provenance
     stored = load_checkpoint(checkpoint)
     provenance = _portable(stored.provenance)
     save_checkpoint(file, stored.network, stored.spec, provenance, half=True)

@@ -6,7 +6,6 @@ import torch
 from torch import Tensor, nn
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.estimators.hybrid.network import HybridNetwork
 from softtissue_estimator.estimators.paper.network import UNet
 from softtissue_estimator.inference.precision import computes_in
 
@@ -41,7 +40,7 @@ def has_bfloat16(device: torch.device) -> bool:
     return computes_in("bfloat16", device)
 
 
-def restrict_autocast(network: UNet | HybridNetwork, device: torch.device) -> None:
+def restrict_autocast(network: UNet, device: torch.device) -> None:
     """Keep the outputs of a network in float32, and on a CPU its coarse levels too, whatever autocast says.
 
     An output of 40 mm in bfloat16 would be rounded to 0.2 mm. With torch 2.13 and AVX-512, the gradients of bfloat16

@@ -149,12 +149,6 @@ def read_provenance(path: Path) -> dict[str, Any]:
     return provenance
 
 
-def checkpoint_kind(path: Path) -> str:
-    """Return which kind of network a checkpoint holds, such as 'paper' or 'hybrid'; raises as `read_provenance`."""
-    metadata, _ = read_weights(path, None)
-    return metadata.get("kind", KIND)
-
-
 def write_weights(
     path: Path, kind: str, network: nn.Module, spec: dict[str, Any], provenance: dict[str, Any], *, half: bool
 ) -> None:

@@ -45,9 +45,8 @@ def check_spec(path: Path, spec: Any, tensors: dict[str, Tensor]) -> None:
     for name, value in [*architecture.items(), *(("widths", width) for width in widths)]:
         # Layers are tensors; channels are a side of one.
         most = len(tensors) if name.endswith("convolutions") else largest
-        least = 0 if name == "groups" else 1
-        if not least <= value <= most:
-            raise _beyond(path, name, f"{least} to {most}, as its tensors have", value)
+        if not 1 <= value <= most:
+            raise _beyond(path, name, f"1 to {most}, as its tensors have", value)
 
 
 def build_network(
@@ -63,7 +62,7 @@ def build_network(
     try:
         with torch.device("meta"):
             shapes = kind(architecture)
-    except Exception as error:  # of torch: sizes that overflow, groups that do not divide channels, ...
+    except Exception as error:  # of torch: sizes that overflow, for example
         raise CheckpointError(
             f"checkpoint {path} is of another architecture: expected one that can be built, got"
             f" {type(error).__name__}"

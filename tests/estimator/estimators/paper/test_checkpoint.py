@@ -11,7 +11,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from softtissue_estimator.errors import CheckpointError
-from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint, save_checkpoint
+from softtissue_estimator.estimators.paper.checkpoint import load_checkpoint, read_provenance, save_checkpoint
 from softtissue_estimator.estimators.paper.network import UNet, UNetArchitecture
 from softtissue_estimator.estimators.paper.network_spec import CHANNELS, NetworkSpec, rigid_spec
 from softtissue_estimator.estimators.paper.rigid_frame import ORGAN, RIGID
@@ -58,6 +58,16 @@ def test_half_precision_is_half_the_size_and_close(stored: Path, tmp_path: Path)
     assert half_path.stat().st_size < 0.6 * stored.stat().st_size
     inputs = torch.randn(1, 5, 16, 16, 16, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(full.network(inputs), half.network(inputs), atol=2e-3, rtol=0.0)
+
+
+def test_weights_of_another_estimator_are_refused_in_one_sentence(stored: Path) -> None:
+    _rewrite(stored, kind="another", provenance='{"command": "train it"}')
+    with pytest.raises(
+        CheckpointError, match="expected weights of 'paper', got weights of 'another'"
+    ) as told:
+        load_checkpoint(stored)
+    assert "\n" not in str(told.value)
+    assert read_provenance(stored) == {"command": "train it"}
 
 
 def test_missing_file() -> None:

@@ -155,7 +155,7 @@ def test_estimators_without_a_history_answer_some_frames(stream):
     assert (found.degraded == NOT_SAID).all()
 
 
-@pytest.mark.parametrize(("kind", "paced"), [("elastic", True), ("hybrid", True), ("zero", False)])
+@pytest.mark.parametrize(("kind", "paced"), [("elastic", True), ("paper", False), ("zero", False)])
 def test_estimators_that_improve_between_frames_get_the_time(kind, paced):
     method = StreamMethod(MethodSpec(kind, kind))
     assert method.paced == paced

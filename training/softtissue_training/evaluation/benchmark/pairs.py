@@ -15,11 +15,11 @@ from softtissue_training.evaluation.measured import CaseResult, Truth
 
 FloatArray = NDArray[np.float64]
 
-DEFAULT_PAIRS = (("hybrid", "elastic"), ("hybrid", "paper"), ("elastic", "rigid"), ("paper", "rigid"))
+DEFAULT_PAIRS = (("elastic", "paper"), ("elastic", "rigid"), ("paper", "rigid"))
 
 
 def parse_pairs(listed: Sequence[str], labels: Sequence[str]) -> list[tuple[str, str]]:
-    """Read pairs such as `hybrid:elastic`; without any, those of `DEFAULT_PAIRS` that the labels allow.
+    """Read pairs such as `elastic:paper`; without any, those of `DEFAULT_PAIRS` that the labels allow.
 
     Raises
     ------

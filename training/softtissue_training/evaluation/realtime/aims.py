@@ -40,19 +40,16 @@ def aims(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _cpu(summary: Mapping[str, Any]) -> list[dict[str, Any] | None]:
     runs, ratios = summary["end_to_end"], summary["ratios"]
     elastic = [r for r in _runs(runs, 30.0) if r["estimator"] == "elastic"]
-    hybrid = [r for r in _runs(runs, 10.0) if r["estimator"] == "hybrid"]
     stream = [r for r in _runs(runs, 60.0) if r["seconds"] >= _SOAK_S]
     return [
         _most("elastic, 10,000 points at 30 Hz, p95, ms", 25.0, (r["p95_ms"] for r in elastic)),
         _least("the same, share of clouds answered", _SUSTAINED_SHARE, map(_share, elastic)),
-        _most("hybrid, 10,000 points at 10 Hz, p95, ms", 120.0, (r["p95_ms"] for r in hybrid)),
         _most(
             "60 Hz for two minutes, largest latency over estimate",
             1.5,
             (r["latency_over_estimate"] for r in stream),
         ),
         _least("finite elements over elastic", 100.0, [ratios["fem_over_elastic"]]),
-        _least("finite elements over hybrid", 20.0, [ratios["fem_over_hybrid"]]),
     ]
 
 

@@ -84,7 +84,7 @@ class RealtimePlan:
         return tuple(runs)
 
 
-ESTIMATORS = ("elastic", "hybrid", "paper")
+ESTIMATORS = ("elastic", "paper")
 POINTS = (1_000, 10_000, 40_000)
 RATES_HZ = (10.0, 30.0, 60.0)
 # A GPU is to keep up with this.

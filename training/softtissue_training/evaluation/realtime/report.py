@@ -104,7 +104,7 @@ def ratios(found: Mapping[str, Any]) -> dict[str, float | None]:
     fem = {row["element_size_mm"]: row["p50_ms"] for row in found["fem"]}
     paths = {row["path"]: row["naive_over_ours"] for row in found["messages"]}
     result: dict[str, float | None] = {}
-    for name in dict.fromkeys(["elastic", "hybrid", *stream]):
+    for name in dict.fromkeys(["elastic", *stream]):
         result[f"fem_over_{name}"] = _ratio(fem.get(FEM_MM), stream.get(name))
         result[f"fem_10mm_over_{name}"] = _ratio(fem.get(10.0), stream.get(name))
         result[f"fem_over_{name}_alone"] = _ratio(fem.get(FEM_MM), alone.get(name))

@@ -29,7 +29,7 @@ PATIENCE_S = 3600.0
 """Of trackers: figures must not depend on how busy the machine is."""
 MEMORYLESS_STRIDE = 10
 """Estimators without a history answer every so many frames."""
-IMPROVES_BETWEEN_FRAMES = ("elastic", "hybrid")
+IMPROVES_BETWEEN_FRAMES = ("elastic",)
 """Kinds with a thread that is at work between frames, which get the time that it has in use."""
 NOT_SAID = -1
 """Whether an answer is degraded, where the estimator does not say."""

@@ -17,7 +17,7 @@ from softtissue_training.experiments.phantom.experiment import (
 from softtissue_training.experiments.phantom.pictures import draw_markers, draw_organ, draw_summary
 from softtissue_training.experiments.phantom.variants import OWN_ANSWER, Progress, Variant
 
-_PICTURED_FIRST = (OWN_ANSWER, "elastic", "hybrid", "paper", "rbf", "rigid", "zero")
+_PICTURED_FIRST = (OWN_ANSWER, "elastic", "paper", "rbf", "rigid", "zero")
 """The first of these that has answered is drawn."""
 
 

@@ -1,1 +1,0 @@
-"""The elastic posterior and a network that says what it leaves and how sure it is."""

@@ -1,1 +1,0 @@
-"""Training of the hybrid network on what the elastic posterior leaves."""
