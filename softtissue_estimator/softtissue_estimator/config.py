@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.support.priority import NICENESS
 
 
 def setting(
@@ -19,6 +20,16 @@ def setting(
     """Return a field of a frozen dataclass of settings, with what parameters are derived from."""
     metadata = {"unit": unit, "range": limits, "choices": choices, "description": description}
     return dataclasses.field(default=default, metadata=metadata)
+
+
+def niceness_setting() -> Any:
+    """Return the field of those settings of whose process the estimator must not wait for."""
+    return setting(
+        NICENESS,
+        "How far this process stands back behind others, as the command `nice` counts it; 0: not at all. Can only be "
+        "given at the start.",
+        limits=(0, 19),
+    )
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from softtissue_estimator.config import check_settings, setting
+from softtissue_estimator.config import check_settings, niceness_setting, setting
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ class BridgeSettings:
         unit="s",
         limits=(0.05, 60.0),
     )
+    niceness: int = niceness_setting()
 
     def __post_init__(self) -> None:
         check_settings(self)

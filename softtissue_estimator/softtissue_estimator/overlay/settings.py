@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from softtissue_estimator.config import check_settings, setting
+from softtissue_estimator.config import check_settings, niceness_setting, setting
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,7 @@ class OverlaySettings:
     )
     names: bool = setting(True, "Write the names of structures and their depths, where there is place.")
     jpeg_quality: int = setting(90, "Of the compressed images.", limits=(1, 100))
+    niceness: int = niceness_setting()
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -14,6 +14,7 @@ from softtissue_estimator.ros.runtime import (
     refusal_of_ros,
     take_short_turns,
 )
+from softtissue_estimator.support.priority import step_back
 
 BAD_INPUT = 2
 CRASH = 1
@@ -30,6 +31,7 @@ def run_node(
     patience_s: float = PATIENCE_S,
     end_s: float = END_S,
     starts: bool = False,
+    steps_back: bool = False,
 ) -> NoReturn:
     """Run until SIGINT or SIGTERM (exit code 0); 2 after input that cannot be used, 1 after a crash.
 
@@ -48,6 +50,8 @@ def run_node(
     starts : bool
         Whether the node has a coroutine `start`, awaited first where its `autostart` says so, which returns what went
         wrong.
+    steps_back : bool
+        Whether other processes come first, as the `niceness` of the node's `settings` says.
     """
     stop = StopRequest(end_s)
     limit_threads()
@@ -59,6 +63,8 @@ def run_node(
 
     crash = _crash_of(stop)
     node = _made(node_class, crash, stop)
+    if steps_back:
+        step_back(node.settings.niceness)
     node.get_logger().info(profile)
 
     async def start() -> None:

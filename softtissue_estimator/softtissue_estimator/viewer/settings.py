@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from softtissue_estimator.config import check_settings, setting
+from softtissue_estimator.config import check_settings, niceness_setting, setting
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,7 @@ class ViewerSettings:
     recording_mb: int = setting(
         128, "Most memory of the recording, in megabytes. Can only be given at the start.", limits=(1, 4096)
     )
+    niceness: int = niceness_setting()
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -14,7 +14,7 @@ from softtissue_estimator.ros.igtl_bridge.newest import Newest
 from softtissue_estimator.ros.igtl_bridge.program import PROGRAM
 from softtissue_estimator.ros.listener_node import ANSWER_QOS, KEPT_QOS, ListenerNode
 
-FIXED = frozenset({"estimator_node", "host", "port", "rate_hz", "surface", "coordinates"})
+FIXED = frozenset({"estimator_node", "host", "port", "rate_hz", "surface", "coordinates", "niceness"})
 
 
 class BridgeNode(ListenerNode[BridgeSettings]):

@@ -31,7 +31,7 @@ from softtissue_estimator.ros.overlay.images import ImageBuffer, compressed_mess
 from softtissue_estimator.ros.overlay.program import PROGRAM
 from softtissue_estimator.support.latest_worker import LatestWorker
 
-FIXED = frozenset({"estimator_node", "image_transport"})
+FIXED = frozenset({"estimator_node", "image_transport", "niceness"})
 POSE_QOS = QoSProfile(depth=KEPT, reliability=ReliabilityPolicy.RELIABLE)
 _RED, _AMBER = (230, 60, 50), (255, 190, 0)  # red, green, blue
 

@@ -7,7 +7,7 @@ _ROOM = "softtissue_estimator.ros.viewer"
 
 def main() -> None:
     """Run until SIGINT or SIGTERM (exit code 0); 2 after arguments that cannot be used, 1 after a crash."""
-    run_node(f"{_ROOM}.program:PROGRAM", f"{_ROOM}.viewer_node:ViewerNode")
+    run_node(f"{_ROOM}.program:PROGRAM", f"{_ROOM}.viewer_node:ViewerNode", steps_back=True)
 
 
 if __name__ == "__main__":

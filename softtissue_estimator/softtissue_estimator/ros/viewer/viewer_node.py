@@ -13,7 +13,12 @@ from softtissue_estimator.ros.inputs.answers import read_points, read_structures
 from softtissue_estimator.ros.inputs.conversions import check_stamp, read_pose, stamp_ns
 from softtissue_estimator.ros.listener_node import ANSWER_QOS, KEPT_QOS, SENSOR_QOS, ListenerNode
 from softtissue_estimator.ros.viewer.calls import Calls
-from softtissue_estimator.ros.viewer.messages import read_distances, read_health, read_observed
+from softtissue_estimator.ros.viewer.messages import (
+    read_distances,
+    read_health,
+    read_judged,
+    read_observed,
+)
 from softtissue_estimator.ros.viewer.program import PROGRAM
 from softtissue_estimator.support.latest_worker import LatestWorker
 from softtissue_estimator.viewer.moment import CameraImage
@@ -32,6 +37,7 @@ FIXED = frozenset(
         "rate_hz",
         "recording_s",
         "recording_mb",
+        "niceness",
     }
 )
 POSE_QOS = QoSProfile(depth=KEPT, reliability=ReliabilityPolicy.RELIABLE)
@@ -94,6 +100,7 @@ class ViewerNode(ListenerNode[ViewerSettings]):
             self.listen(PointCloud2, f"{estimator}/deformed_points", self._take_points, ANSWER_QOS),
             self.listen(PointCloud2, f"{estimator}/deformed_surface", self._take_surface, ANSWER_QOS),
             self.listen(Distances, f"{estimator}/tool_distances", self._take_distances, ANSWER_QOS),
+            self.listen(PointCloud2, f"{estimator}/observed_points", self._take_judged, SENSOR_QOS),
             self.listen(PointCloud2, "surface_points", self._take_cloud, SENSOR_QOS),
         ]
 
@@ -120,6 +127,9 @@ class ViewerNode(ListenerNode[ViewerSettings]):
 
     def _take_cloud(self, message: PointCloud2) -> None:
         self._state.take_cloud(read_observed(message, self.settings.maximum_points))
+
+    def _take_judged(self, message: PointCloud2) -> None:
+        self._state.take_judged(read_judged(message, self.settings.maximum_points))
 
     def _take_image(self, image: CameraImage) -> None:
         self._state.take_image(image, time.monotonic())

@@ -1,0 +1,58 @@
+"""How far a process stands back."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from softtissue_estimator.support.priority import NICENESS
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="threads have no niceness of their own here")
+
+PROGRAM = """
+import os, sys, threading
+from pathlib import Path
+from softtissue_estimator.support.priority import step_back
+
+if "session" in sys.argv:
+    os.setsid()
+go_on = threading.Event()
+threading.Thread(target=go_on.wait, daemon=True).start()
+step_back(int(sys.argv[1]))
+later = threading.Event()
+threading.Thread(target=lambda: (later.set(), go_on.wait()), daemon=True).start()
+later.wait()
+print(sorted(os.getpriority(os.PRIO_PROCESS, int(t)) for t in os.listdir("/proc/self/task")))
+group = Path("/proc/self/autogroup")
+print(group.read_text().split()[-1] if group.exists() else "none")
+step_back(0)
+print(os.getpriority(os.PRIO_PROCESS, 0))
+"""
+
+
+def niceness_after(*arguments):
+    """Of all threads, of the session, and after the process wanted to come forward again."""
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *map(str, arguments)], capture_output=True, text=True, check=True
+    )
+    threads, session, after = done.stdout.splitlines()
+    return threads, session, int(after)
+
+
+def test_all_threads_step_back_and_those_that_begin_later():
+    own = os.getpriority(os.PRIO_PROCESS, 0)
+    assert niceness_after(19)[0] == "[19, 19, 19]"
+    assert niceness_after(0)[0] == str([own] * 3)
+    assert niceness_after(NICENESS)[2] == max(own, NICENESS)
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/autogroup").exists(), reason="sessions have no niceness of their own"
+)
+def test_session_steps_back_only_where_it_is_the_process_s_own():
+    before = Path("/proc/self/autogroup").read_text().split()[-1]
+    assert niceness_after(17)[1] == before
+    assert niceness_after(17, "session")[1] == "17"
+    assert niceness_after(0, "session")[1] == "0"
