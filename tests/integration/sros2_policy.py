@@ -15,6 +15,7 @@ ENCLAVES = (
     "overlay",
     "viewer",
     "igtl_bridge",
+    "recorder",
 )
 # What a profile's parts may say, with the topics of DDS that this gives: (what is published, what is subscribed).
 ACTS = {

@@ -8,16 +8,20 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
+from sensor_msgs.msg import PointCloud2
+
 from integration.harness import running_node, write_organ
 from integration.scene import (
     CAMERA_FROM_ORGAN,
     Scene,
     cloud_message,
+    nanoseconds,
     pose_message,
     read_answer,
     read_pose_message,
     registration_message,
 )
+from softtissue_estimator.ros.inputs.cloud_layout import NUMBERS, records
 
 stamps = itertools.count(1_700_000_000_123_456_789, 100_000_000)
 OK, DEGRADED, INVALID = 0, 1, 2
@@ -303,3 +307,26 @@ def test_log_is_throttled_and_holds_no_traceback(following, scene):
         client.status_of(stamp)
     assert node.text.count("'moon'") - before <= 3
     assert "Traceback" not in node.text
+
+
+def test_points_on_which_an_answer_relies_are_said_to_who_listens_alone(client, scene):
+    wrong = np.arange(len(scene.points)) % 6 == 1
+    points = scene.points.copy()
+    points[wrong] += np.array([0.03, -0.03, 0.02])  # as no tissue moves between two that did not
+    topic, heard = f"{client.name}/observed_points", []
+    assert client.node.count_publishers(topic) == 1
+    subscription = client.node.create_subscription(PointCloud2, topic, heard.append, 10)
+    stamp = next(stamps)
+
+    def said():
+        if not heard:
+            client.clouds.publish(scene.cloud(stamp, points=points))
+            client.spin(0.1)
+        return bool(heard)
+
+    client.wait(said, "observed points")
+    table = records(heard[0], ("x", "y", "z", "used"), NUMBERS)
+    assert (nanoseconds(heard[0].header.stamp), heard[0].header.frame_id) == (stamp, "organ")
+    np.testing.assert_allclose(np.column_stack([table[n].ravel() for n in "xyz"]), points, atol=1e-6)
+    np.testing.assert_array_equal(table["used"].ravel(), ~wrong)
+    client.node.destroy_subscription(subscription)

@@ -11,6 +11,8 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `make test`")
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
+from std_msgs.msg import String
+
 from integration.harness import Client, NodeProcess, PlainClient, executable, write_organ
 from integration.sros2_policy import ACTS, ENCLAVES, allowed, policy
 
@@ -119,6 +121,27 @@ def test_program_may_do_what_it_does_and_nothing_else(
     assert opened == {act: names - not_opened.get(act, set()) for act, names in may.items()}
 
 
+def test_recorder_may_do_what_it_does_and_nothing_else(tmp_path, domain):
+    name, may = "softtissue_recorder", allowed("recorder")
+    with PlainClient(domain) as client:
+        # It hears what somebody publishes.
+        publishers = [client.node.create_publisher(String, topic, 1) for topic in sorted(may["subscribe"])]
+        command = [executable("record"), "--out", tmp_path / "bag"]
+        with NodeProcess(domain, tmp_path, {}, command) as process:
+            for publisher in publishers:
+                process.wait_for_text(f"records {publisher.topic_name}\n")
+            graph = client.node
+            client.wait(lambda: name in graph.get_node_names(), "recorder")
+            client.spin(0.5)
+            opened = {
+                "publish": names(graph.get_publisher_names_and_types_by_node(name, "/")),
+                "subscribe": names(graph.get_subscriber_names_and_types_by_node(name, "/")),
+                "reply": names(graph.get_service_names_and_types_by_node(name, "/")),
+                "request": names(graph.get_client_names_and_types_by_node(name, "/")),
+            }
+    assert opened == may
+
+
 def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
     node, roles = allowed("node"), {role: allowed(role) for role in ROLES}
 
@@ -136,7 +159,8 @@ def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
     for service in about_points:
         assert who("request", service) == {"display"}
     for topic in ("deformed_points", "deformed_surface", "registration"):
-        assert who("subscribe", f"/{NODE}/{topic}") == {"display", "overlay", "viewer", "igtl_bridge"}
+        hear = {"display", "overlay", "viewer", "igtl_bridge", "recorder"}
+        assert who("subscribe", f"/{NODE}/{topic}") == hear
     # The viewer has buttons for those, and for no others.
     buttons = {f"/{NODE}/{name}" for name in ("register", "reset", "load_organ")}
     assert roles["viewer"]["request"] == buttons
@@ -145,6 +169,9 @@ def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
         assert who("request", service) - {"viewer"} == {"registration"}
     for service in node["reply"] - about_points - about_registration:
         assert who("request", service) - {"viewer"} == {"operator"}, service
+    # It records what the node hears and says, and nothing else.
+    assert roles["recorder"]["subscribe"] - node["subscribe"] <= node["publish"]
+    assert roles["recorder"]["subscribe"] >= node["subscribe"]
     for topic in node["publish"]:
         assert who("subscribe", topic) - {"tracker", "registration"}, topic
         if topic.startswith(f"/{NODE}/") or topic == "/diagnostics":

@@ -10,7 +10,13 @@ pytest.importorskip("rclpy", reason="ROS 2 is not there; run the tests through `
 pytest.importorskip("softtissue_msgs", reason="the workspace is not built or not sourced")
 
 from integration.harness import write_organ
-from integration.scene import CAMERA_FROM_ORGAN, Scene, pose_message, registration_message
+from integration.scene import (
+    CAMERA_FROM_ORGAN,
+    Scene,
+    cloud_message,
+    pose_message,
+    registration_message,
+)
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimators.estimator import Estimate, Estimator
 from softtissue_estimator.ros.frames import Frame, FrameAnswerer
@@ -172,3 +178,65 @@ def test_registration_that_comes_while_a_frame_is_in_work_is_noticed_after_it(st
     thread.join(PATIENCE_S)
     stream.show()
     assert stream.estimator.calls == ["estimate", "estimate", "forget", "estimate"]
+
+
+class Doubting(Still):
+    """Relies on every third point alone."""
+
+    def relied_on(self):
+        return np.arange(self.count) % 3 == 0
+
+
+@pytest.fixture
+def doubted(stream, monkeypatch):
+    """A stream whose answers rely on every third of the points that they were asked about."""
+
+    def estimate(observation):
+        answer = Doubting(stream.scene.organ)
+        answer.count = len(observation.reference)
+        return answer
+
+    monkeypatch.setattr(stream.estimator, "estimate", estimate)
+    return stream
+
+
+def spoilt(scene, rows):
+    points = scene.points.copy()
+    points[rows] += 10.0  # further than anything moves
+    return points
+
+
+def relied_on(stream, cloud, pairs=None):
+    frame = Frame(cloud, pairs, time.monotonic(), 0)
+    return stream._answerer.answer(frame, CONFIG, stream.registration).relied_on()
+
+
+def test_answer_says_on_which_points_of_its_cloud_it_relies(stream, doubted, scene):
+    rows = np.arange(len(scene.points))
+    wrong = rows % 5 == 2
+    cloud = scene.cloud(1, frame="organ", points=spoilt(scene, wrong))
+    expected = np.zeros(len(rows), dtype=bool)
+    expected[rows[~wrong][::3]] = True
+    np.testing.assert_array_equal(relied_on(doubted, cloud), expected)
+
+
+def test_points_without_correspondences_are_not_relied_on(stream, scene):
+    reference = scene.reference.copy()
+    untracked = np.arange(len(reference)) % 4 == 1
+    reference[untracked] = np.nan
+    columns = np.column_stack([scene.points, reference])
+    cloud = cloud_message(columns, ["x", "y", "z", "ref_x", "ref_y", "ref_z"], 1, "organ")
+    np.testing.assert_array_equal(relied_on(stream, cloud), ~untracked)
+
+
+def test_correspondences_in_another_order_say_on_which_rows_it_relies(stream, doubted, scene):
+    pairs = scene.pairs(1)
+    count = len(scene.points)
+    index = np.random.default_rng(2).permutation(count)[: count // 2]
+    pairs.index = index.tolist()
+    pairs.reference = scene.reference[index].ravel().tolist()
+    pairs.sigma = []
+    expected = np.zeros(count, dtype=bool)
+    expected[index[::3]] = True
+    found = relied_on(doubted, scene.bare_cloud(1, frame="organ", points=scene.points), pairs)
+    np.testing.assert_array_equal(found, expected)

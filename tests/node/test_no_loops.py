@@ -65,7 +65,7 @@ def test_taking_a_cloud_in(folder, with_pairs):
 
         def work():
             read = read_cloud(cloud)
-            points, reference, sigma = tracked_points(pairs, read, organ.frame)
+            points, reference, sigma, _ = tracked_points(pairs, read, organ.frame)
             make_observation(transform_points(np.eye(4), points), reference, sigma, organ, config)
 
         work()  # what libraries and caches do the first time

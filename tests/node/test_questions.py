@@ -128,6 +128,7 @@ def test_what_is_not_finite_or_not_of_the_organ_is_left_out_and_degrades_nothing
     kept = of_organ & (label == 2)
     np.testing.assert_allclose(stream.asked.points, points[kept], atol=1e-6)
     assert (answer.used, answer.left_out) == (kept.sum(), (~kept).sum())
+    np.testing.assert_array_equal(answer.relied_on(), kept)
     assert degradation_reasons(answer, 0.0, CONFIG) == []
     stream.config = CONFIG
     assert stream.show(label=label).left_out == 0

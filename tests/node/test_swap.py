@@ -68,12 +68,12 @@ class Recorder(Estimator):
 
 
 class Publisher:
-    def __init__(self):
-        self.published = []
+    def __init__(self, listeners=0):
+        self.published, self.listeners = [], listeners
         self.publish = self.published.append
 
     def get_subscription_count(self):
-        return 0
+        return self.listeners
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +115,17 @@ def test_answer_in_work_for_the_old_organ_is_dropped_and_the_next_is_the_new_one
     assert running.outputs.status.published[-1].estimator == "new"
     assert (running.counters.counts.dropped, running.counters.counts.answered) == (1, 1)
     assert len(running.old.estimator.asked) == len(new.estimator.asked) == 1
+
+
+@pytest.mark.parametrize("listeners", [0, 1])
+def test_what_an_answer_relies_on_is_looked_at_for_who_listens_alone(running, scene, monkeypatch, listeners):
+    looked_at = []
+    monkeypatch.setattr(Still, "relied_on", lambda _: looked_at.append(True), raising=False)
+    observed = Publisher(listeners)
+    running.responder._outputs = dataclasses.replace(running.outputs, observed=observed)
+    running.responder.deliver(running.responder.estimate(frame(scene, 3)))
+    assert len(observed.published) == len(looked_at) == listeners
+    assert all(message.header.stamp.nanosec == 3 for message in observed.published)
 
 
 @pytest.mark.parametrize("meanwhile", ["cleaned up", "configured anew"])

@@ -13,6 +13,7 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.diagnosis import Diagnosis
 from softtissue_estimator.observation.bare_cloud import BareCloud
 from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.organ.mesh import BoolArray
 from softtissue_estimator.organ.organ import Organ
 
 FloatArray = NDArray[np.float64]
@@ -62,6 +63,13 @@ class Estimate(ABC):
         displacement : (k, 3) float64, m
         sigma : (k,) float64, m, or None
         """
+
+    def relied_on(self) -> BoolArray | None:
+        """Which points of the observation, or of the cloud, the answer relies on, (n,); None where it is on all.
+
+        The others were found not to be of the organ.
+        """
+        return None
 
     def covariance_at(self, points: FloatArray) -> FloatArray | None:
         """Covariance of where any preoperative points are now, seen with the registration and its error.

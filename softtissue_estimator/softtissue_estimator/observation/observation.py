@@ -50,6 +50,8 @@ class Observation:
     registration_covariance : (6, 6) float64, optional
         Of the error that the registration left in `displacement`, where somebody says it: translation (m) of
         `Organ.centre`, then rotation (rad) about the axes of the organ's frame.
+    usable : (m,) bool, optional
+        Which of the points that were given these are, in their order; None where nobody says.
     """
 
     reference: FloatArray
@@ -58,6 +60,7 @@ class Observation:
     located: LocatedPoints | None = None
     stamp_s: float | None = None
     registration_covariance: FloatArray | None = None
+    usable: BoolArray | None = None
 
     def part(self, kept: BoolArray) -> "Observation":
         """Return the points that are kept, (n,)."""
@@ -70,6 +73,7 @@ class Observation:
             displacement=self.displacement[kept],
             sigma=self.sigma[kept],
             located=located,
+            usable=None,
         )
 
     def nearest_sample(self, lookup: SurfaceLookup) -> IntArray:
@@ -136,6 +140,7 @@ def make_observation(
         _rows(displacement, usable),
         _rows(spread, usable),
         LocatedPoints(lookup, _rows(sample, on_surface)),
+        usable=usable,
     )
     return observation, len(now) - count
 

@@ -97,6 +97,7 @@ class EstimatorNode(ManagedNode):
             self._broadcast,
             self.create_lifecycle_publisher(Structures, "~/structures", **overridable(NEWEST_QOS)),
             self.create_lifecycle_publisher(PointCloud2, "~/deformed_surface", **overridable(OUTPUT_QOS)),
+            self.create_lifecycle_publisher(PointCloud2, "~/observed_points", **overridable(OUTPUT_QOS)),
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
         self._poses = PoseProcess()

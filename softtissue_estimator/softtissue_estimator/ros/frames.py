@@ -13,7 +13,7 @@ from softtissue_estimator.estimators.structure_sigma import largest_sigmas
 from softtissue_estimator.inference.stopwatch import Stopwatch
 from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.organ.organ import Organ
-from softtissue_estimator.ros.inputs.conversions import read_cloud
+from softtissue_estimator.ros.inputs.conversions import Cloud, read_cloud
 from softtissue_estimator.ros.inputs.kinds import Kind
 from softtissue_estimator.ros.inputs.registration import OrganPose, Registration
 from softtissue_estimator.ros.questions import Bare, Pairs, ask_about_bare, ask_about_pairs
@@ -70,6 +70,10 @@ class Answer:
         Largest standard deviation of each structure, m; NaN where the estimator gives none.
     stages : dict
         Seconds of each stage, in order.
+    cloud : Cloud
+        That is answered.
+    asked : Pairs or Bare
+        What of it entered the estimate.
     """
 
     organ: Organ
@@ -83,6 +87,15 @@ class Answer:
     visible_fraction: float
     structure_sigma: FloatArray
     stages: dict[str, float]
+    cloud: Cloud
+    asked: Pairs | Bare
+
+    def relied_on(self) -> NDArray[np.bool_]:
+        """Say which points of the cloud it relies on, (n,): they entered the estimate and were not left out in it."""
+        rows, among = self.asked.rows, self.estimate.relied_on()
+        used = np.zeros(len(self.cloud.points), dtype=np.bool_)
+        used[rows if among is None else rows[among]] = True
+        return used
 
 
 class FrameAnswerer:
@@ -137,6 +150,8 @@ class FrameAnswerer:
             visible_fraction=visible,
             structure_sigma=largest_sigmas(organ, estimate.sigma),
             stages=watch.stages,
+            cloud=cloud,
+            asked=asked,
         )
 
     def _notice(self, pose: OrganPose) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 from softtissue_estimator.ros.engine import Engine
 from softtissue_estimator.ros.frames import Answer
 from softtissue_estimator.ros.outputs.broadcast import RegistrationBroadcast
+from softtissue_estimator.ros.outputs.observed_points import observed_points_message
 from softtissue_estimator.ros.outputs.pose_buffer import PoseBuffer, fitted_pose
 from softtissue_estimator.ros.outputs.structures import structures_message
 
@@ -25,6 +26,7 @@ class Outputs:
     transforms: RegistrationBroadcast | None = None
     structures: Any = None
     surface: Any = None
+    observed: Any = None
     _poses: PoseBuffer = field(default_factory=PoseBuffer, init=False)
 
     def publish(self, engine: Engine, answer: Answer, lifetime_s: float) -> tuple[dict[str, float], bool]:
@@ -49,6 +51,11 @@ class Outputs:
                 engine.surface.serialised(
                     answer.positions, estimate.displacement, estimate.sigma, answer.stamp_ns
                 )
+            )
+        if self.observed is not None and self.observed.get_subscription_count() > 0:
+            cloud = answer.cloud
+            self.observed.publish(
+                observed_points_message(cloud.points, answer.relied_on(), cloud.frame, cloud.stamp_ns)
             )
         published = time.monotonic()
         shown = self.show(engine, answer, lifetime_s)

@@ -23,6 +23,7 @@ from softtissue_estimator.ros.inputs.point_normals import read_normals, turn_nor
 from softtissue_estimator.ros.inputs.registration import OrganPose
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 OPTICAL = ("_optical", "_optical_frame")
 """Ends of the names of frames whose origin is a camera, by the conventions of ROS (REP 103)."""
@@ -37,10 +38,20 @@ class Pairs:
     observation : Observation
     rejected_fraction : float
         Share of the correspondences that could not be used.
+    tracked : (m,) int64 or None
+        Rows of the cloud that have correspondences; None where all have, in their order.
     """
 
     observation: Observation
     rejected_fraction: float
+    tracked: IntArray | None = None
+
+    @property
+    def rows(self) -> IntArray:
+        """Rows of the cloud that enter the estimate, in their order there, (n,)."""
+        usable = self.observation.usable
+        given = np.arange(self.used) if usable is None else np.flatnonzero(usable)
+        return given if self.tracked is None else self.tracked[given]
 
     @property
     def used(self) -> int:
@@ -63,9 +74,12 @@ class Bare:
     Attributes
     ----------
     cloud : BareCloud
+    rows : (n,) int64
+        Rows of the message that its points are.
     """
 
     cloud: BareCloud
+    rows: IntArray
     rejected_fraction: float = 0.0
 
     @property
@@ -97,7 +111,7 @@ def ask_about_pairs(
     InvalidInputError
         If they cannot be used.
     """
-    points, reference, sigma = tracked_points(correspondences, cloud, organ.frame)
+    points, reference, sigma, tracked = tracked_points(correspondences, cloud, organ.frame)
     points = transform_points(pose.organ_from_cloud, points)
     watch.lap("read")
     observation, rejected = make_observation(points, reference, sigma, organ, config)
@@ -105,7 +119,7 @@ def ask_about_pairs(
         observation, stamp_s=_stamp_s(cloud), registration_covariance=pose.covariance_at(organ.centre)
     )
     watch.lap("check")
-    return Pairs(observation, rejected / len(points))
+    return Pairs(observation, rejected / len(points), tracked)
 
 
 def ask_about_bare(
@@ -139,16 +153,17 @@ def ask_about_bare(
     row = np.flatnonzero(finite if labels.organ is None else finite & labels.organ)
     points = transform_points(pose.organ_from_cloud, cloud.points.take(row, axis=0))
     near = _near(points, organ, config.max_displacement_m)
-    count = int(near.sum())
+    kept = row.compress(near)
+    count = len(kept)
     if count < config.minimum_points:
         raise OrganNotFoundError(
             f"cloud: expected at least {config.minimum_points} points near the organ, got {count} of {len(finite)}"
             f" ({int((~finite).sum())} not finite, {int(finite.sum()) - len(row)} not of the organ by the cloud's"
             f" fields, {len(row) - count} further than {1e3 * config.max_displacement_m:g} mm from where it was)"
         )
-    track = labels.track[row[near]] if tracked and labels.track is not None else None
+    track = labels.track[kept] if tracked and labels.track is not None else None
     if normals is not None:
-        normals = turn_normals(pose.organ_from_cloud, normals.take(row[near], axis=0))
+        normals = turn_normals(pose.organ_from_cloud, normals.take(kept, axis=0))
     watch.lap("read")
     bare, _ = make_bare_cloud(points.compress(near, axis=0), None, config, track, normals)
     bare = replace(
@@ -158,7 +173,7 @@ def ask_about_bare(
         registration_covariance=pose.covariance_at(organ.centre),
     )
     watch.lap("check")
-    return Bare(bare)
+    return Bare(bare, kept)
 
 
 def _near(points: FloatArray, organ: Organ, within_m: float) -> NDArray[np.bool_]:
@@ -184,8 +199,11 @@ def _viewpoint(pose: OrganPose, wanted: str) -> FloatArray | None:
 
 def tracked_points(
     correspondences: Correspondences | None, cloud: Cloud, organ_frame: str
-) -> tuple[NDArray[np.floating], NDArray[np.floating], FloatArray | None]:
-    """Return the tracked points (cloud's frame), their preoperative positions (organ's frame) and sigma, m."""
+) -> tuple[NDArray[np.floating], NDArray[np.floating], FloatArray | None, IntArray | None]:
+    """Return the tracked points (cloud's frame), their preoperative positions (organ's frame) and sigma, m.
+
+    Behind them their rows in the cloud; None where they are all of it.
+    """
     if correspondences is not None:
         got = correspondences.header.frame_id
         if got != organ_frame:
@@ -193,16 +211,16 @@ def tracked_points(
                 f"correspondences: expected the organ's frame {organ_frame!r}, got {got!r}"
             )
         pairs = read_correspondences(correspondences, len(cloud.points))
-        return cloud.points[pairs.index], pairs.reference, pairs.sigma
+        return cloud.points[pairs.index], pairs.reference, pairs.sigma, pairs.index
     if cloud.reference is None:
         raise InvalidInputError("cloud: expected fields ref_x ref_y ref_z or correspondences, got neither")
     with np.errstate(invalid="ignore", over="ignore"):
         x, y, z = cloud.reference.T
         tracked = np.isfinite(x + y + z)
     if tracked.all():
-        return cloud.points, cloud.reference, None
+        return cloud.points, cloud.reference, None, None
     if not tracked.any():
         raise InvalidInputError(
             f"cloud: expected finite ref_x ref_y ref_z in some points, got none in {len(tracked)} points"
         )
-    return cloud.points[tracked], cloud.reference[tracked], None
+    return cloud.points[tracked], cloud.reference[tracked], None, np.flatnonzero(tracked)

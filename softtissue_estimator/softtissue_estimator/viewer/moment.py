@@ -22,7 +22,7 @@ class Observed:
     points : (n, 3) float32
         Finite, m, in `frame`.
     left_out : (n,) bool
-        Points that the cloud itself says not to be of the organ.
+        Points that are found, or said by the cloud itself, not to be of the organ.
     """
 
     stamp_ns: int
@@ -141,6 +141,8 @@ class Moment:
         Name of that frame.
     level, reason : str
         What the status said.
+    judged : bool
+        Whether `left_out` are those that the answer does not rely on.
     """
 
     time_s: float
@@ -154,6 +156,7 @@ class Moment:
     camera_frame: str = ""
     level: Level = "OK"
     reason: str = ""
+    judged: bool = False
 
     @property
     def size(self) -> int:

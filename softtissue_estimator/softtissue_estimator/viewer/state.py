@@ -66,6 +66,7 @@ class State:
         self._surfaces: OrderedDict[int, FloatArray] = OrderedDict()
         self._poses: OrderedDict[int, tuple[str, FloatArray]] = OrderedDict()
         self._clouds: OrderedDict[int, Observed] = OrderedDict()
+        self._judged: OrderedDict[int, Observed] = OrderedDict()
         self._health: tuple[float, Health] | None = None
         self._distances: tuple[float, ToolDistances] | None = None
         self._image: tuple[float, CameraImage] | None = None
@@ -107,6 +108,11 @@ class State:
         """Take observed points."""
         with self._lock:
             keep_newest(self._clouds, KEPT, cloud.stamp_ns, cloud)
+
+    def take_judged(self, cloud: Observed) -> None:
+        """Take the points of an answered cloud, which say on which of them the answer relies, in the cloud's place."""
+        with self._lock:
+            keep_newest(self._judged, KEPT, cloud.stamp_ns, cloud)
 
     def take_health(self, health: Health, now_s: float) -> None:
         """Take the newest status; where it is INVALID, the answers before it no longer hold."""
@@ -168,11 +174,12 @@ class State:
     def _newest(self) -> Moment:
         """Return the newest answer; the moment stays the same object while nothing of it changed.
 
-        The surface arrives just after the structures: until then the answer before is shown, which has both.
+        Its surface and its points arrive just after the structures: until then the answer before is shown, which has
+        both.
         """
         stamp, answer = next(reversed(self._answers.items()))
         before = [one for one in self._answers if one != stamp][-1:]
-        if stamp not in self._surfaces and before and before[0] in self._surfaces:
+        if before and any(before[0] in kept and stamp not in kept for kept in (self._surfaces, self._judged)):
             earlier, structures = self._answers[before[0]], self._structures
             if structures is not None and not _misfit(structures, earlier.points):
                 stamp, answer = before[0], earlier
@@ -184,6 +191,7 @@ class State:
             moment is None
             or (moment.stamp_ns, moment.time_s) != (stamp, answer.arrived_s)
             or (moment.surface is None and stamp in self._surfaces)
+            or (not moment.judged and stamp in self._judged)
         ):
             self._moment = moment = self._put_together(stamp, answer)
         if (moment.level, moment.reason) != (level, reason):
@@ -193,7 +201,8 @@ class State:
     def _put_together(self, stamp: int, answer: _Answer) -> Moment:
         structures = self._structures
         first_vertex = structures.first_vertex if structures is not None else np.zeros(1, np.int64)
-        motion, observed = self._observed(stamp)
+        judged = self._judged.get(stamp)
+        motion, observed = self._observed(stamp, self._clouds.get(stamp) if judged is None else judged)
         surface = self._surfaces.get(stamp)
         if surface is not None and not self._fits(surface):
             surface = None
@@ -208,15 +217,15 @@ class State:
             np.zeros(0, bool) if observed is None else observed.left_out,
             motion,
             "" if motion is None else self._poses[stamp][0],
+            judged=judged is not None,
         )
 
     def _fits(self, surface: FloatArray) -> bool:
         enough = self._structures is None or not self._structures.surface_misfit(surface)
         return enough and bool(np.isfinite(surface).all())
 
-    def _observed(self, stamp: int) -> tuple[FloatArray | None, Observed | None]:
+    def _observed(self, stamp: int, cloud: Observed | None) -> tuple[FloatArray | None, Observed | None]:
         """Return the pose of the cloud's frame and the cloud of an answer, in the organ's frame."""
-        cloud = self._clouds.get(stamp)
         if cloud is not None and cloud.frame == self._frame:
             return None, cloud
         pose = self._poses.get(stamp)
@@ -229,7 +238,7 @@ class State:
         return motion, replace(cloud, points=moved.astype(np.float32))
 
     def _forget(self) -> None:
-        for kept in (self._answers, self._surfaces, self._poses):
+        for kept in (self._answers, self._surfaces, self._poses, self._judged):
             kept.clear()
         self._moment = None
 

@@ -137,6 +137,32 @@ def test_cloud_of_another_stamp_or_frame_is_not_shown(state):
     assert len(state.view(100.1, 1.0).moment.observed) == 0
 
 
+def test_points_that_were_judged_are_shown_in_the_place_of_the_cloud(state):
+    state.take_pose(10 * S, "eye", TURN)
+    state.take_cloud(cloud(10.0, POINTS @ TURN[:3, :3].T + TURN[:3, 3], "eye"))
+    answer(state)
+    before = state.view(100.0, 1.0).moment
+    assert (before.judged, before.left_out.any()) == (False, False)
+    state.take_judged(cloud(10.0, POINTS[:2] @ TURN[:3, :3].T + TURN[:3, 3], "eye", [False, True]))
+    moment = state.view(100.0, 1.0).moment
+    np.testing.assert_allclose(moment.observed, POINTS[:2], atol=1e-6)
+    assert (moment.judged, moment.left_out.tolist()) == (True, [False, True])
+    assert state.view(100.0, 1.0).moment is moment
+
+
+def test_answer_before_is_shown_until_the_points_of_the_newest_are_judged(state):
+    state.take_judged(cloud(10.0, POINTS, "organ"))
+    answer(state)
+    answer(state, 10.1, 100.1)
+    assert state.view(100.1, 1.0).moment.stamp_ns == 10 * S
+    state.take_judged(cloud(10.1, POINTS, "organ"))
+    assert state.view(100.1, 1.0).moment.stamp_ns == int(10.1 * S)
+    # Nobody judges any more: the next one is shown at once.
+    answer(state, 10.2, 100.2)
+    answer(state, 10.3, 100.3)
+    assert state.view(100.3, 1.0).moment.stamp_ns == int(10.3 * S)
+
+
 def test_cloud_in_the_organs_frame_needs_no_pose_and_has_no_camera(state):
     state.take_cloud(cloud(10.0, POINTS, "organ"))
     answer(state)
@@ -162,7 +188,8 @@ def test_only_so_much_is_kept(state):
         state.take_surface(stamp, SURFACE)
         state.take_pose(stamp, "eye", TURN)
         state.take_cloud(cloud(10 + number, POINTS, "eye"))
-    kept = (state._answers, state._surfaces, state._poses, state._clouds)
+        state.take_judged(cloud(10 + number, POINTS, "eye"))
+    kept = (state._answers, state._surfaces, state._poses, state._clouds, state._judged)
     assert {len(each) for each in kept} == {KEPT}
 
 

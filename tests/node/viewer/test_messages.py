@@ -13,7 +13,12 @@ from softtissue_msgs.srv import LoadOrgan, Reset
 from integration.scene import cloud_message
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.viewer.calls import answer
-from softtissue_estimator.ros.viewer.messages import read_distances, read_health, read_observed
+from softtissue_estimator.ros.viewer.messages import (
+    read_distances,
+    read_health,
+    read_judged,
+    read_observed,
+)
 
 S = 1_000_000_000
 XYZ = ["x", "y", "z"]
@@ -49,6 +54,24 @@ def test_points_that_the_cloud_says_not_to_be_of_the_organ_are_left_out():
     names = [*XYZ, "organ_mask", "ref_x", "ref_y", "ref_z"]
     read = read_observed(cloud_message(np.hstack([POINTS, mask, POINTS]), names, S, "eye"), 100)
     assert not read.left_out.any()
+
+
+@pytest.mark.parametrize(("most", "rows"), [(10, slice(None)), (4, slice(None, None, 3))])
+def test_points_that_an_answer_does_not_rely_on_are_left_out(most, rows):
+    used = np.arange(10.0)[:, None] % 3 != 1
+    points = POINTS.copy()
+    points[3, 1] = np.nan
+    read = read_judged(cloud_message(np.hstack([points, used]), [*XYZ, "used"], 5 * S, "eye"), most)
+    finite = np.isfinite(points).all(axis=1)[rows]
+    np.testing.assert_array_equal(read.points, points[rows][finite])
+    np.testing.assert_array_equal(read.left_out, ~used[rows, 0][finite])
+    assert (read.stamp_ns, read.frame) == (5 * S, "eye")
+
+
+def test_observed_points_without_a_word_about_each_are_refused():
+    with pytest.raises(InvalidInputError, match="used"):
+        read_judged(cloud_message(POINTS, XYZ, S, "eye"), 100)
+    assert len(read_judged(cloud_message(POINTS, XYZ, S, "eye"), 0).points) == 0
 
 
 def test_cloud_without_positions_is_refused():

@@ -9,7 +9,7 @@ from softtissue_estimator.estimators.elastic.joint_covariance import joint_covar
 from softtissue_estimator.estimators.elastic.model import ElasticModel
 from softtissue_estimator.estimators.elastic.posterior import Posterior
 from softtissue_estimator.estimators.estimator import Estimate
-from softtissue_estimator.organ.mesh import FloatArray
+from softtissue_estimator.organ.mesh import BoolArray, FloatArray
 
 
 class ElasticEstimate(Estimate):
@@ -66,6 +66,10 @@ class ElasticEstimate(Estimate):
                 f"points to warp: expected finite numbers of shape (k, 3), got {points.shape}"
             )
         return self.interpolated(points, self._mesh.interpolation(points))
+
+    def relied_on(self) -> BoolArray | None:
+        """See `Estimate.relied_on`."""
+        return self.patches.relied_on()
 
     def covariance_at(self, points: FloatArray) -> FloatArray | None:
         """See `Estimate.covariance_at`; displacement and the registration's error are correlated."""

@@ -205,7 +205,7 @@ class ElasticEstimator(Estimator):
         watch.lap("match")
         motion = fit_patches(patches, config.model_sigma_m)
         watch.lap("rigid")
-        pairs = PairsObservation(patches, model, config.sensor_bias_m, config.match_slide_m)
+        pairs = PairsObservation(patches, model, config.sensor_bias_m, config.match_slide_m, kept)
         return pairs, motion, 1.0 - float(kept.mean())
 
     def _diagnosis(

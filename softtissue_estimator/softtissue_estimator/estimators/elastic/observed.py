@@ -10,7 +10,7 @@ from torch import Tensor
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.relevance import Amplitudes, Variances
-from softtissue_estimator.organ.mesh import FloatArray
+from softtissue_estimator.organ.mesh import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +144,9 @@ class Observed(Protocol):
     @property
     def displacement(self) -> FloatArray:
         """How far these have moved, (k, 3) m, as the registration has it."""
+
+    def relied_on(self) -> BoolArray | None:
+        """See `Estimate.relied_on`."""
 
     def condition(
         self,

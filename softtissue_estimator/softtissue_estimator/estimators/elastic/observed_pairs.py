@@ -28,7 +28,7 @@ from softtissue_estimator.estimators.elastic.smooth_error import (
     log_prior,
 )
 from softtissue_estimator.observation.patch_average import ObservedPatches
-from softtissue_estimator.organ.mesh import FloatArray, unit_rows
+from softtissue_estimator.organ.mesh import BoolArray, FloatArray, unit_rows
 
 
 class PairsObservation:
@@ -40,10 +40,13 @@ class PairsObservation:
     model : ElasticModel
     sensor_bias_m, match_slide_m : float
         As in `EstimatorConfig`.
+    kept : (n,) bool or None
+        Which points of the observation the patches are averages of; None for all.
 
     Attributes
     ----------
     patches : ObservedPatches
+    kept : (n,) bool or None
     nodes_at_rest : (n, 3) float64 m
     places : ObservedPlaces
         Of the patches.
@@ -60,9 +63,14 @@ class PairsObservation:
     registration_scales = REGISTRATION_SCALES
 
     def __init__(
-        self, patches: ObservedPatches, model: ElasticModel, sensor_bias_m: float, match_slide_m: float
+        self,
+        patches: ObservedPatches,
+        model: ElasticModel,
+        sensor_bias_m: float,
+        match_slide_m: float,
+        kept: BoolArray | None = None,
     ) -> None:
-        self.patches, self.nodes_at_rest = patches, model.nodes
+        self.patches, self.nodes_at_rest, self.kept = patches, model.nodes, kept
         self._surface = model.moved_surface
         self._material = self._surface.followed(patches.reference)
         self.places = ObservedPlaces(self._material.interpolation(len(model.nodes)), model.device)
@@ -113,6 +121,10 @@ class ObservedPairs:
     def displacement(self) -> FloatArray:
         """See `Observed.displacement`."""
         return self._whole.patches.displacement
+
+    def relied_on(self) -> BoolArray | None:
+        """See `Estimate.relied_on`."""
+        return self._whole.kept
 
     def condition(
         self,

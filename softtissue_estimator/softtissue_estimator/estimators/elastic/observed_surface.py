@@ -149,6 +149,11 @@ class ObservedSurface:
         """See `Observed.displacement`."""
         return np.asarray((self.rows.seen - self.rows.reference)[self._pieces])
 
+    def relied_on(self) -> BoolArray:
+        """See `Estimate.relied_on`: those in pieces that count."""
+        piece = self._whole.seen.piece
+        return np.asarray((piece >= 0) & self.rows.counted[piece])
+
     def residual(self, explained: Explained) -> FloatArray:
         """Return what a posterior leaves of each patch, (c, 3) m."""
         return self._left(explained.registration, explained.mean, explained.amplitudes)

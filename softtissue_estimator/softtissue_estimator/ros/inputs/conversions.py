@@ -157,8 +157,13 @@ def read_rigid(rotation: Any, translation: Any, what: str) -> FloatArray:
 
 
 def make_cloud(rows: NDArray[Any], frame: str, stamp: int) -> PointCloud2:
-    """Build a dense, unorganised cloud from a structured array of float32, float64 and uint32 fields."""
-    kinds = {"f4": PointField.FLOAT32, "f8": PointField.FLOAT64, "u4": PointField.UINT32}
+    """Build a dense, unorganised cloud from a structured array of float32, float64, uint32 and uint8 fields."""
+    kinds = {
+        "f4": PointField.FLOAT32,
+        "f8": PointField.FLOAT64,
+        "u4": PointField.UINT32,
+        "u1": PointField.UINT8,
+    }
     message = PointCloud2()
     message.header.frame_id = frame
     message.header.stamp = time_message(stamp)

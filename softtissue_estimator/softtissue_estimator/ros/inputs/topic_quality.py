@@ -23,6 +23,7 @@ TOPICS = {
         "~/deformed_points",
         "~/deformed_surface",
         "~/markers",
+        "~/observed_points",
         "~/registration",
         "~/status",
         "~/structures",

@@ -1,6 +1,9 @@
 """Messages of the node and of sensors to what the viewer's state takes."""
 
+from dataclasses import replace
+
 import numpy as np
+from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 from softtissue_msgs.msg import Distances, EstimatorStatus
 
@@ -10,6 +13,8 @@ from softtissue_estimator.ros.inputs.conversions import carries_reference, check
 from softtissue_estimator.ros.inputs.point_labels import MASK
 from softtissue_estimator.viewer.moment import Health, Level, Observed, ToolDistances
 
+USED = "used"
+"""Field of `~/observed_points`: 0 where the answer does not rely on a point."""
 _LEVELS: dict[int, Level] = {
     EstimatorStatus.OK: "OK",
     EstimatorStatus.DEGRADED: "DEGRADED",
@@ -28,20 +33,45 @@ def read_observed(message: PointCloud2, most: int) -> Observed:
     InvalidInputError
         If a field is missing or its sizes contradict each other.
     """
+    observed, step = _thinned(message, most)
+    left_out = observed.left_out
+    if len(left_out) and MASK in field_names(message) and not carries_reference(message):
+        mask = records(message, (MASK,), NUMBERS)[MASK].reshape(-1)[::step]
+        left_out = (mask == 0) | np.isnan(mask)
+    return _finite(observed, left_out)
+
+
+def read_judged(message: PointCloud2, most: int) -> Observed:
+    """Read `~/observed_points`, thinned to at most so many points; those that the answer does not rely on are left out.
+
+    Raises
+    ------
+    InvalidInputError
+        If a field is missing or its sizes contradict each other.
+    """
+    observed, step = _thinned(message, most)
+    if most == 0:
+        return observed
+    used = records(message, (USED,), NUMBERS)[USED].reshape(-1)[::step]
+    return _finite(observed, used == 0)
+
+
+def _thinned(message: PointCloud2, most: int) -> tuple[Observed, int]:
+    """Read positions of every k-th point, whatever they are; also return k."""
     check_stamp(message.header.stamp, "cloud")
     stamp, frame = stamp_ns(message.header.stamp), message.header.frame_id
     if most == 0:
-        return Observed(stamp, frame, np.zeros((0, 3), np.float32), np.zeros(0, bool))
+        return Observed(stamp, frame, np.zeros((0, 3), np.float32), np.zeros(0, bool)), 1
     table = records(message, ("x", "y", "z"))
     step = max(1, -(-table.size // most))
-    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is left out below
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is left out afterwards
         points = columns(table, ("x", "y", "z"))[::step].astype(np.float32)
-    left_out = np.zeros(len(points), dtype=bool)
-    if MASK in field_names(message) and not carries_reference(message):
-        mask = records(message, (MASK,), NUMBERS)[MASK].reshape(-1)[::step]
-        left_out = (mask == 0) | np.isnan(mask)
-    finite = np.isfinite(points).all(axis=1)
-    return Observed(stamp, frame, points[finite], left_out[finite])
+    return Observed(stamp, frame, points, np.zeros(len(points), dtype=bool)), step
+
+
+def _finite(observed: Observed, left_out: NDArray[np.bool_]) -> Observed:
+    finite = np.isfinite(observed.points).all(axis=1)
+    return replace(observed, points=observed.points[finite], left_out=left_out[finite])
 
 
 def read_health(message: EstimatorStatus) -> Health:

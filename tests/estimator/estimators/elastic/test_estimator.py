@@ -173,6 +173,8 @@ def test_instrument_that_is_tracked_with_the_organ_is_left_out(truth):
     ]
     errors = [truth.error(answer.displacement_at(truth.points)[0]) for answer in answers]
     assert errors[1] < errors[0] + 0.001
+    assert answers[0].relied_on().all()
+    np.testing.assert_array_equal(answers[1].relied_on(), ~piece)
 
 
 @pytest.mark.parametrize("size", [0.008, 0.012, 0.02])

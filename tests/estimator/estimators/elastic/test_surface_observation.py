@@ -76,6 +76,11 @@ def test_only_what_faces_the_same_way_and_is_near_counts(model):
     on_organ = np.square(positions / AXES).sum(axis=1) < 1.2
     assert counts[on_organ].mean() > 0.95
     assert counts[~on_organ].max() == 0.0
+    relied_on = observation(model, cloud).about(rest, exact(model), 0.006).relied_on()
+    assert relied_on[: len(TOP)].mean() > 0.95 and not relied_on[len(TOP) :].any()
+    alone = BareCloud(np.concatenate([cloud.points, [[0.0, 0.0, 0.2]]]), np.full(2 * len(TOP) + 1, 0.0003))
+    # It shows no surface, so it is in no piece.
+    assert not observation(model, alone).about(rest, exact(model), 0.006).relied_on()[-1]
     from_below = dataclasses.replace(cloud, viewpoint=-CAMERA)
     with pytest.raises(InvalidInputError, match=r"cloud: expected at least 10 cells of 5 mm within 6 mm"):
         observation(model, from_below).about(rest, exact(model), 0.006)
