@@ -201,3 +201,48 @@ def test_disk_that_takes_no_more_ends_the_recording_with_a_sentence(tmp_path, do
             said = recorder.stderr.read()
     assert recorder.returncode == 2 and "Traceback" not in said, said
     assert "expected a disk that can be written, got: File too large" in said.splitlines()[-1]
+
+
+@pytest.mark.timeout(240)
+def test_recording_whose_process_is_killed_is_reported_and_replayed(organ, tmp_path, domain):
+    scene, bag = Scene(organ), tmp_path / "bag"
+    parameters = {"organ": organ, "minimum_visible_fraction": 0.01, "frame_budget_s": 60.0}
+    stamps = [(100 + number) * S for number in range(CLOUDS)]
+    with (
+        NodeProcess(domain, tmp_path, parameters),
+        Client(domain) as client,
+        recording(domain, tmp_path / "record", bag) as recorder,
+    ):
+        client.wait_until_connected()
+        for topic in (f"{NODE}/deformed_points", f"{NODE}/status", "/surface_points"):
+            recorder.wait_for_text(f"records {topic}\n")
+        client.wait(lambda: client.clouds.get_subscription_count() == 2, "recorder", 20.0)
+        client.spin(0.3)
+        for stamp in stamps:
+            client.clouds.publish(scene.cloud(stamp))
+            client.status_of(stamp)
+        client.spin(2.0)  # what came longer ago than a second is kept
+        recorder.process.kill()
+        recorder.process.wait(10.0)
+    assert not (bag / "metadata.yaml").exists()
+    before = {path: path.read_bytes() for path in bag.iterdir()}
+
+    with Bag(bag) as opened:
+        assert opened.cut_off
+    topics = [topic for topic, _ in recorded(bag)]
+    assert topics.count("/surface_points") == topics.count(f"{NODE}/deformed_points") == CLOUDS
+    ended = run(domain, "report", bag, "--out", tmp_path / "out")
+    assert ended.returncode == 0, ended.stderr
+    text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert Tables(text).rows["frames"][1] == [str(CLOUDS), str(CLOUDS), "0", "0", "0", "0"]
+    assert "expected a recording that ended in order, got one that was cut off" in text
+
+    with Client(domain) as client:
+        heard = ["--wait-for", f"{NODE}/deformed_points", "--rate", "5"]
+        played = NodeProcess(domain, tmp_path / "record", {}, [executable("replay"), bag, *heard])
+        with played as replay:
+            client.wait(lambda: len(client.answers) == CLOUDS, "replayed answers", 60.0)
+            assert replay.wait(60.0) == 0, replay.text
+            assert "cut off" in replay.text
+    assert [nanoseconds(answer.header.stamp) for answer in client.answers] == stamps
+    assert {path: path.read_bytes() for path in bag.iterdir()} == before

@@ -1,5 +1,6 @@
 """Bags that are recorded: their definitions, their quality of service, and disks that take no more."""
 
+import contextlib
 import resource
 import shutil
 import signal
@@ -150,3 +151,81 @@ def test_disk_that_takes_no_more_is_a_sentence(tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, old)
         signal.signal(signal.SIGXFSZ, handler)
+
+
+def cut_off(folder, seconds=(1, 2, 3), unordered=False):
+    """Record a message every second, each flushed, and leave the bag as a killed process does; return its file."""
+    bag = BagFile(folder)
+    connection = bag.connect("/status", STATUS, (OFFER,))
+    for number in seconds:
+        bag.write(
+            connection, (10 - number if unordered else number) * 10**9, serialize_message(status(number))
+        )
+        bag.flush()
+    bag.write(connection, 20 * 10**9, serialize_message(status(20)))  # never flushed
+    bag._writer.abort()
+    (file,) = folder.glob("*.mcap")
+    return file, file.read_bytes()
+
+
+def told(path):
+    with Bag(path) as bag:
+        assert bag.cut_off
+        (connection,) = bag.connections
+        assert bag.kind_of(connection).__name__ == "EstimatorStatus"
+        found = [(time_ns // 10**9, data) for _, time_ns, data in bag.messages(bag.connections)]
+        assert bag.message_count == connection.msgcount == len(found)
+        assert bag.start_ns == 10**9 * found[0][0]
+    return found
+
+
+def test_recording_that_was_cut_off_is_read_up_to_its_last_flush(tmp_path):
+    file, _ = cut_off(tmp_path / "bag")
+    expected = [(number, serialize_message(status(number))) for number in (1, 2, 3)]
+    assert told(tmp_path / "bag") == told(file) == expected
+    assert [path.name for path in (tmp_path / "bag").iterdir()] == [file.name]
+
+
+def test_recording_that_was_cut_off_anywhere_is_read_up_to_there(tmp_path):
+    file, data = cut_off(tmp_path / "bag")
+    counts = []
+    for length in sorted({*range(0, len(data), len(data) // 80), *range(len(data) - 30, len(data) + 1)}):
+        file.write_bytes(data[:length])
+        found = []
+        with contextlib.suppress(InvalidInputError):  # nothing is there yet
+            found = told(tmp_path / "bag")
+        assert [number for number, _ in found] == list(range(1, len(found) + 1))
+        counts.append(len(found))
+    assert counts == sorted(counts) and set(counts) == {0, 1, 2, 3}
+
+
+def test_messages_of_a_recording_that_was_cut_off_come_in_order_of_time(tmp_path):
+    cut_off(tmp_path / "bag", unordered=True)
+    assert [number for number, _ in told(tmp_path / "bag")] == [7, 8, 9]
+
+
+def test_recording_that_was_cut_off_before_its_last_file_is_whole(tmp_path):
+    sent = record(tmp_path / "bag")
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    with Bag(tmp_path / "bag") as bag:
+        assert bag.cut_off and [data for _, _, data in bag.messages()] == sent
+
+
+def test_whole_recording_is_not_cut_off(tmp_path):
+    record(tmp_path / "bag")
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    for path in (tmp_path / "bag", file):
+        with Bag(path) as bag:
+            assert not bag.cut_off
+
+
+def test_flushed_recording_ends_as_any_other(tmp_path):
+    with BagFile(tmp_path / "bag") as bag:
+        bag.flush()
+        connection = bag.connect("/status", STATUS, (OFFER,))
+        for number in range(4):
+            bag.flush()
+            bag.write(connection, 1000 + number, serialize_message(status(number)))
+    bag.flush()
+    with Bag(tmp_path / "bag") as bag:
+        assert [time_ns for _, time_ns, _ in bag.messages()] == [1000, 1001, 1002, 1003]

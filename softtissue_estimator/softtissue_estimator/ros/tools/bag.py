@@ -14,6 +14,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.ros.tools.cut_off import source_of
 from softtissue_estimator.support.sentences import one_sentence
 
 _LARGEST = 2**63
@@ -21,6 +22,11 @@ _LARGEST = 2**63
 
 class Bag:
     """A rosbag2 bag: a folder with metadata.yaml, or an MCAP or sqlite3 file alone. A context manager.
+
+    Attributes
+    ----------
+    cut_off : bool
+        Whether its recording did not end in order: messages may be missing at its end.
 
     Raises
     ------
@@ -35,7 +41,9 @@ class Bag:
             )
         self._stack = ExitStack()
         try:
-            self._reader = self._stack.enter_context(AnyReader([path]))
+            source = source_of(path)
+            self.cut_off = source is not path
+            self._reader = self._stack.enter_context(AnyReader([source]))
             count = self._reader.message_count
             first_ns, last_ns = self._reader.start_time, self._reader.end_time
             # metadata.yaml may hold anything.

@@ -148,6 +148,10 @@ def _play(node: Any, bag: Any, options: argparse.Namespace, stop: StopRequest) -
     """Replay; return what is missing in a sentence."""
     replay = Replay(node, bag, options, stop)
     node.get_logger().info(f"{options.bag}: {bag.message_count} messages in {bag.duration_ns / 1e9:.1f} s")
+    if bag.cut_off:
+        node.get_logger().warning(
+            f"{options.bag}: expected a recording that ended in order, got one that was cut off"
+        )
     missing = replay.wait_for_subscribers()
     if missing is not None:
         return missing

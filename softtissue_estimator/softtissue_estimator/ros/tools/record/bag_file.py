@@ -4,12 +4,13 @@ import contextlib
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
+from rosbags.rosbag2.storage_mcap import McapWriter
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.tools.record.definitions import definition_of
@@ -87,6 +88,24 @@ class BagFile:
         except OSError as error:
             raise self._unwritable(error) from error
         self.count += 1
+
+    def flush(self) -> None:
+        """Write what came until now to the file, as a piece that is read though the process be killed after it.
+
+        Raises
+        ------
+        InvalidInputError
+            If the disk takes no more.
+        """
+        if self._closed:
+            return
+        storage = cast(McapWriter, self._writer.storage)
+        try:
+            if storage.chunk.msgs:
+                storage.close_chunk()
+            storage.bio.flush()
+        except OSError as error:
+            raise self._unwritable(error) from error
 
     def check_space(self) -> None:
         """Look for room on the disk while there is enough left to end in order.

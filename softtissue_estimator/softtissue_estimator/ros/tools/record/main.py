@@ -6,6 +6,7 @@ from pathlib import Path
 
 from softtissue_estimator.errors import SoftTissueError
 from softtissue_estimator.ros.runtime import Spinner, StopRequest, run_tool
+from softtissue_estimator.support.priority import NICENESS, step_back
 
 INPUTS = (
     "surface_points",
@@ -32,7 +33,16 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--node", default="softtissue_estimator", help="name of the node (default softtissue_estimator)"
     )
+    parser.add_argument(
+        "--niceness",
+        type=int,
+        default=NICENESS,
+        metavar="N",
+        help=f"how far it stands back behind others, 0 to 19 (default {NICENESS})",
+    )
     options = parser.parse_args(arguments)
+    if not 0 <= options.niceness <= 19:
+        parser.error(f"--niceness: expected a number from 0 to 19, got {options.niceness}")
     options.topics = options.topics or [*INPUTS, *(f"{options.node}/{end}" for end in OUTPUTS)]
     return options
 
@@ -55,6 +65,7 @@ def run(options: argparse.Namespace, stop: StopRequest) -> int:
         node = rclpy.create_node("softtissue_recorder")
         try:
             Recorder(node, bag, options.topics)
+            step_back(options.niceness)
             spinner = Spinner(node, on_error)
             with tqdm(unit=" messages", desc="record", file=sys.stderr) as bar:
                 while not stop.event.wait(SHOW_PERIOD_S):

@@ -13,6 +13,8 @@ from softtissue_estimator.ros.tools.record.bag_file import BagFile
 from softtissue_estimator.support.sentences import one_sentence
 
 LOOK_PERIOD_S = 0.1
+FLUSH_PERIOD_S = 1.0
+"""As much is missing at the end of a recording whose process is killed."""
 _DEPTH = 100
 
 
@@ -33,6 +35,7 @@ class Recorder:
         self._subscriptions: dict[str, tuple[QoSProfile, Any]] = {}
         self._left_out: set[str] = set()
         node.create_timer(LOOK_PERIOD_S, self._look)
+        node.create_timer(FLUSH_PERIOD_S, bag.flush)
 
     def _look(self) -> None:
         self._bag.check_space()

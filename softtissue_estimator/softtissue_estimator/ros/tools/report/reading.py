@@ -112,6 +112,8 @@ def read_recording(bag: Bag, name: str, node: str, watched: Watched) -> Recordin
             answers += [] if stamp is None else [Answer(last_s, stamp)]
         else:
             poses += 1
+    if bag.cut_off and not broken:
+        broken = f"bag {name}: expected a recording that ended in order, got one that was cut off"
     if not statuses:
         got = f"{sum(damage.counts.values())} damaged ones" if damage.counts else "none"
         raise InvalidInputError(f"bag {name}: expected messages on {node}/status, got {got}")
