@@ -41,8 +41,8 @@ else:
 _COLUMNS, _ROWS, _FOCAL = 160, 120, 150.0
 _STAMP = 10**18
 _IMAGES = ("image", "jpeg", "png")
-_SAID = ("structures", "camera_info", "status", "registration", "deformed_points", "deformed_surface")
-_KINDS = (*_IMAGES * 3, "camera_info", "camera_info", *_SAID)
+SAID = ("structures", "camera_info", "status", "registration", "deformed_points", "deformed_surface")
+_KINDS = (*_IMAGES * 3, "camera_info", "camera_info", *SAID)
 _ENCODINGS = (
     "rgb8", "bgr8", "rgba8", "bgra8", "mono8", "8UC1", "8UC3", "yuv422", "uyvy", "yuyv", "yuv422_yuy2", "mono16", "",
     "32FC1", "bayer_rggb8", "x" * 5000, "\x1b[2J",
@@ -78,7 +78,7 @@ class Images(Kind):
         kind = rng.choice(_KINDS)
         message = self._good(kind)
         for _ in range(how_often(rng)):
-            _change(rng, message)
+            change(rng, message)
         (content,) = serialised(rng, [message])
         return f"{kind}.cdr", content
 
@@ -111,14 +111,14 @@ class Images(Kind):
     def _give(self, kind: str, message: Any) -> str:
         """Give a message to the overlay, and draw if it is no image itself; return in a word what became of it."""
         image = message
-        if kind in _SAID:
+        if kind in SAID:
             self._subscriptions[kind].callback(message)
             image = self._good("image")
         self._node.draw(image)
         return "drawn" if self._node.images else "refused"
 
     def _drawn_well(self) -> np.ndarray:
-        for kind in _SAID:
+        for kind in SAID:
             self._subscriptions[kind].callback(self._good(kind))
         self._node.forget()
         self._node.draw(self._good("image"))
@@ -128,40 +128,43 @@ class Images(Kind):
         return drawn
 
     def _good(self, kind: str) -> Any:
-        """Return a message of a kind as it should be."""
-        organ = self._organ
-        stamp = stamp_message(_STAMP)
-        if kind == "structures":
-            return structures_message(organ)
-        if kind == "camera_info":
-            info = CameraInfo(
-                width=_COLUMNS, height=_ROWS, distortion_model="plumb_bob", d=[0.1, 0.0, 0.0, 0.0, 0.0]
-            )
-            info.k = [_FOCAL, 0.0, _COLUMNS / 2, 0.0, _FOCAL, _ROWS / 2, 0.0, 0.0, 1.0]
-            info.p = [_FOCAL, 0.0, _COLUMNS / 2, 0.0, 0.0, _FOCAL, _ROWS / 2, 0.0, 0.0, 0.0, 1.0, 0.0]
-            return info
-        if kind == "status":
-            status = EstimatorStatus(level=EstimatorStatus.OK)
-            status.header.stamp = stamp
-            return status
-        if kind == "registration":
-            pose = pose_message(CAMERA_FROM_ORGAN, 1e-4 * np.eye(6))
-            pose.header.stamp, pose.header.frame_id = stamp, "camera"
-            return pose
-        if kind.startswith("deformed"):
-            meshes = [one.mesh for one in organ.structures] if kind == "deformed_points" else [organ.surface]
-            points = np.concatenate([mesh.vertices for mesh in meshes])
-            table = np.hstack([points, np.full((len(points), 1), 0.002)])
-            return cloud_message(table, ["x", "y", "z", "sigma"], _STAMP, organ.frame)
-        if kind == "image":
-            image = Image(
-                width=_COLUMNS, height=_ROWS, encoding="bgr8", step=3 * _COLUMNS, data=_plain().tobytes()
-            )
-        else:
-            suffix = {"jpeg": ".jpg", "png": ".png"}[kind]
-            image = CompressedImage(format=kind, data=cv2.imencode(suffix, _plain())[1].tobytes())
-        image.header.stamp, image.header.frame_id = stamp, "camera"
-        return image
+        return good_message(kind, self._organ)
+
+
+def good_message(kind: str, organ: Any) -> Any:
+    """Return a message of a kind, about an organ, as it should be."""
+    stamp = stamp_message(_STAMP)
+    if kind == "structures":
+        return structures_message(organ)
+    if kind == "camera_info":
+        info = CameraInfo(
+            width=_COLUMNS, height=_ROWS, distortion_model="plumb_bob", d=[0.1, 0.0, 0.0, 0.0, 0.0]
+        )
+        info.k = [_FOCAL, 0.0, _COLUMNS / 2, 0.0, _FOCAL, _ROWS / 2, 0.0, 0.0, 1.0]
+        info.p = [_FOCAL, 0.0, _COLUMNS / 2, 0.0, 0.0, _FOCAL, _ROWS / 2, 0.0, 0.0, 0.0, 1.0, 0.0]
+        return info
+    if kind == "status":
+        status = EstimatorStatus(level=EstimatorStatus.OK)
+        status.header.stamp = stamp
+        return status
+    if kind == "registration":
+        pose = pose_message(CAMERA_FROM_ORGAN, 1e-4 * np.eye(6))
+        pose.header.stamp, pose.header.frame_id = stamp, "camera"
+        return pose
+    if kind.startswith("deformed"):
+        meshes = [one.mesh for one in organ.structures] if kind == "deformed_points" else [organ.surface]
+        points = np.concatenate([mesh.vertices for mesh in meshes])
+        table = np.hstack([points, np.full((len(points), 1), 0.002)])
+        return cloud_message(table, ["x", "y", "z", "sigma"], _STAMP, organ.frame)
+    if kind == "image":
+        image = Image(
+            width=_COLUMNS, height=_ROWS, encoding="bgr8", step=3 * _COLUMNS, data=_plain().tobytes()
+        )
+    else:
+        suffix = {"jpeg": ".jpg", "png": ".png"}[kind]
+        image = CompressedImage(format=kind, data=cv2.imencode(suffix, _plain())[1].tobytes())
+    image.header.stamp, image.header.frame_id = stamp, "camera"
+    return image
 
 
 if not MISSING:
@@ -196,7 +199,7 @@ def _plain() -> np.ndarray:
     return np.tile(row[:, None], (_ROWS, 1, 3))
 
 
-def _change(rng: random.Random, message: Any) -> None:
+def change(rng: random.Random, message: Any) -> None:
     changes = {
         Image: _image,
         CompressedImage: _file,

@@ -6,6 +6,7 @@ from fuzz.kind import Kind
 from fuzz.meshes import LibraryMeshes, Meshes
 from fuzz.messages import Messages
 from fuzz.over_dds import OverDds
+from fuzz.pages import Pages
 from fuzz.stores import CachedFiles, Weights
 from fuzz.tables import Tables
 from fuzz.tetrahedra import Tetrahedra
@@ -22,6 +23,7 @@ KINDS: tuple[type[Kind], ...] = (
     Bags,
     Messages,
     Images,
+    Pages,
     OverDds,
 )
 

@@ -67,6 +67,7 @@ def good_message(kind: str, scene: Scene, stamp: int = 10**18) -> list[Any]:
             "registration_with_covariance": lambda: pose_message(CAMERA_FROM_ORGAN, 1e-4 * np.eye(6)),
             "warp_points": lambda: WarpPoints.Request(points=[0.01, 0.0, 0.02, -0.01, 0.0, 0.0]),
             "distance": lambda: Distance.Request(tool=_tool()),
+            "tool": _tool,
             "load_organ": lambda: LoadOrgan.Request(folder="/nowhere"),
             "reset": Reset.Request,
             "register": _register,
@@ -244,7 +245,10 @@ def _pose(rng: random.Random, message: PoseWithCovarianceStamped) -> None:
 
 
 def _distance(rng: random.Random, request: Distance.Request) -> None:
-    tool = request.tool
+    _tool_pose(rng, request.tool)
+
+
+def _tool_pose(rng: random.Random, tool: PoseStamped) -> None:
     if rng.random() < 0.3:
         changed_header(rng, tool.header)
         return
@@ -304,6 +308,7 @@ _CHANGES = {
     PoseWithCovarianceStamped: _pose,
     WarpPoints.Request: _warp,
     Distance.Request: _distance,
+    PoseStamped: _tool_pose,
     LoadOrgan.Request: _load,
     Reset.Request: lambda _rng, _request: None,
     Register.Request: _start,

@@ -19,12 +19,13 @@ _KINDS = (
     + ("normals",) * 2
     + ("registration", "registration_with_covariance", "camera_pose", "warp_points", "distance", "parameters")
     * 2
+    + ("tool",) * 2
     + ("load_organ", "reset", "register", "decide_registration")
 )
 
 
 class Messages(Kind):
-    """Clouds, correspondences, registrations, calls of services and parameters."""
+    """Clouds, correspondences, registrations, a tool's poses, calls of services and parameters."""
 
     name = "messages"
     share = 8

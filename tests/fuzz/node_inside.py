@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import math
 import time
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from softtissue_msgs.msg import EstimatorStatus
 from softtissue_msgs.srv import DecideRegistration, Distance, LoadOrgan, Register, Reset, WarpPoints
 
+from fuzz.checks import check_distances, columns_of
 from fuzz.kind import FailedError, check_sentence, expect
 from integration.harness import write_organ
 from integration.scene import (
@@ -65,14 +67,37 @@ class Kept:
         return 1
 
 
+class AtOnce:
+    """In the place of a `LatestWorker`: works where an item is handed over."""
+
+    def __init__(self, work: Any, on_crash: Any) -> None:
+        self._work, self._on_crash = work, on_crash
+
+    def put(self, item: Any) -> None:
+        try:
+            self._work(item)
+        except Exception as error:
+            self._on_crash(error)
+
+
 class WatchedNode(EstimatorNode):
     """Publishes into lists."""
+
+    def __init__(self, on_crash: Any) -> None:
+        super().__init__(on_crash)
+        tool = self._tool
+        tool._worker.stop(1.0)
+        tool._worker = AtOnce(tool._work, lambda error: self.boundary.sentence("tool distances", error))
 
     def create_lifecycle_publisher(
         self, msg_type: Any, topic: str, *_arguments: Any, **_options: Any
     ) -> Kept:
         self.__dict__.setdefault("kept", {})[topic.rpartition("/")[2]] = (kept := Kept(msg_type))
         return kept
+
+    def allow_tool(self) -> None:
+        """Let the next pose of the tool be looked at however soon it comes."""
+        self._tool._begun_s = -math.inf
 
     @property
     def counts(self) -> Any:
@@ -140,6 +165,8 @@ class NodeInside:
         elif kind.startswith("registration") or kind == "camera_pose":
             self._subscriptions[kind].callback(messages[0])
             outcome = "taken"
+        elif kind == "tool":
+            outcome = self._give_tool(messages[0])
         else:
             outcome = self._call(kind, messages[0])
         self._executor.spin_once(timeout_sec=0.0)
@@ -185,6 +212,17 @@ class NodeInside:
         self._left_waiting.add(stamp)
         return "waiting"
 
+    def _give_tool(self, message: Any) -> str:
+        self._good_answer()  # without one nothing is measured
+        self._forget()
+        self._node.allow_tool()
+        self._subscriptions["tool"].callback(message)
+        told = self._kept("tool_distances")
+        for distances in told:
+            expect(distances.header == message.header, "distances with another header")
+            check_distances(distances)
+        return "answered" if told else "refused"
+
     def _settle(self, received: int) -> None:
         """Wait until every cloud is answered, refused, dropped or waits for its correspondences."""
         end = time.monotonic() + PATIENCE_S
@@ -210,6 +248,11 @@ class NodeInside:
                 all(bool(np.isfinite(records[n]).all()) for n in records.dtype.names),
                 "an answer that is not finite",
             )
+        for points in self._kept("observed_points"):
+            expect(nanoseconds(points.header.stamp) in stamps, "observed points with another stamp")
+            table = columns_of(points)
+            expect(bool(np.isfinite([table[n] for n in "xyz"]).all()), "observed points that are not finite")
+            expect(bool((table["used"] <= 1).all()), "observed points neither used nor left out")
         for pose in self._kept("registration"):
             motion, covariance = read_pose_message(pose)
             expect(
@@ -258,11 +301,7 @@ class NodeInside:
                 answer.result != answer.SUCCESS or len(answer.points) == len(request.points), "other points"
             )
         if isinstance(answer, Distance.Response) and answer.result == answer.SUCCESS:
-            told = answer.distances
-            expect(
-                len(told.distance) == len(told.sigma) == len(told.nearest) == len(told.names),
-                "not a distance of each structure",
-            )
+            check_distances(answer.distances)
         codes = {
             LoadOrgan.Response: 3,
             Reset.Response: 2,

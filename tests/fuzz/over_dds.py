@@ -11,11 +11,14 @@ from fuzz.kind import Kind, MissingError, check_sentence, expect
 from fuzz.messages import packed, unpacked
 
 try:
-    from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
+    from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped
+    from rclpy.qos import QoSProfile
     from rclpy.serialization import deserialize_message, serialize_message
     from sensor_msgs.msg import PointCloud2
+    from softtissue_msgs.msg import Distances
     from softtissue_msgs.srv import Reset
 
+    from fuzz.checks import check_distances
     from fuzz.message_damage import damaged_message
     from integration.harness import Client, NodeProcess, write_organ
     from integration.scene import Scene, nanoseconds, read_answer
@@ -27,8 +30,8 @@ else:
 
 _BURST = 25  # messages, after which a good cloud must be answered
 _PAUSE_S = 0.004  # between two
-_KINDS = ("cloud",) * 5 + ("pair",) * 3 + ("registration", "registration_with_covariance")
-_CLOUD, _PAIRS, _REGISTRATION, _POSE = b"c", b"p", b"r", b"u"
+_KINDS = ("cloud",) * 5 + ("pair",) * 3 + ("registration", "registration_with_covariance", "tool", "tool")
+_CLOUD, _PAIRS, _REGISTRATION, _POSE, _TOOL = b"c", b"p", b"r", b"u", b"t"
 _OK, _INVALID = 0, 2
 _MOST_GROWTH_BYTES = 300 << 20  # of the node's memory, over all
 _TOLERANCE_M = 1e-3
@@ -53,6 +56,13 @@ class OverDds(Kind):
         self._node = NodeProcess(domain, folder, parameters)
         self._client = Client(domain)
         self._client.wait_until_connected()
+        self._tools = self._client.node.create_publisher(PoseStamped, "tool", QoSProfile(depth=1))
+        self._distances: list[Distances] = []
+        # Without a listener none are measured.
+        self._heard = self._client.node.create_subscription(
+            Distances, f"{self._client.name}/tool_distances", self._distances.append, QoSProfile(depth=10)
+        )
+        self._client.wait(lambda: self._tools.get_subscription_count() == 1, "the tool's topic")
         self._stamp = 6 * 10**17
         self._first = self._answer()
         self._memory = self._resident()
@@ -73,11 +83,13 @@ class OverDds(Kind):
         client = self._client
         client.statuses.clear()
         client.answers.clear()
+        self._distances.clear()
         publishers = {
             _CLOUD: client.clouds,
             _PAIRS: client.pairs,
             _REGISTRATION: client.registrations,
             _POSE: client.uncertain_registrations,
+            _TOOL: self._tools,
         }
         stamps: set[int] = set()
         for part in unpacked(content):
@@ -141,6 +153,8 @@ class OverDds(Kind):
                 all(bool(np.isfinite(records[n]).all()) for n in records.dtype.names),
                 "an answer that is not finite",
             )
+        for distances in self._distances:
+            check_distances(distances)
         for status in client.statuses:
             if status.reason:
                 check_sentence(status.reason)
@@ -152,7 +166,12 @@ class OverDds(Kind):
 
 
 def _topic_of(message: object) -> bytes:
-    kinds = ((PointCloud2, _CLOUD), (TransformStamped, _REGISTRATION), (PoseWithCovarianceStamped, _POSE))
+    kinds = (
+        (PointCloud2, _CLOUD),
+        (TransformStamped, _REGISTRATION),
+        (PoseWithCovarianceStamped, _POSE),
+        (PoseStamped, _TOOL),
+    )
     return next((topic for kind, topic in kinds if isinstance(message, kind)), _PAIRS)
 
 

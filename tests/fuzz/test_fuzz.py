@@ -24,6 +24,7 @@ SAMPLES = {
     "bags": 40,
     "messages": 50,
     "images": 150,
+    "pages": 100,
     "over DDS": 2,
 }
 

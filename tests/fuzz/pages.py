@@ -1,0 +1,206 @@
+"""Damaged answers, clouds, images and distances, put into the callbacks of a whole viewer in this process."""
+
+import math
+import random
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fuzz.damage import how_often
+from fuzz.images import SAID, change, good_message
+from fuzz.kind import FailedError, Kind, MissingError, check_sentence, expect
+
+try:
+    import rclpy
+    import viser  # noqa: F401
+    from geometry_msgs.msg import Point
+    from rclpy.signals import SignalHandlerOptions
+    from softtissue_msgs.msg import Distances
+
+    from fuzz.images import MISSING
+    from fuzz.message_damage import FLOATS, FRAMES, changed_header, deserialised, serialised
+    from integration.harness import write_organ
+    from integration.scene import cloud_message
+    from softtissue_estimator.organ.organ import load_organ
+    from softtissue_estimator.ros.inputs.conversions import make_cloud
+    from softtissue_estimator.ros.viewer.viewer_node import ViewerNode
+    from softtissue_estimator.support.sentences import one_sentence
+except ImportError as error:
+    MISSING = str(error)
+
+_STAMP = 10**18
+_CLOUDS = ("surface_points", "observed_points")
+_PICTURES = ("image", "camera_info")
+_KINDS = (*SAID, *_CLOUDS * 2, *_PICTURES, "tool_distances", "tool_distances")
+_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("used", "u1")])
+
+
+class Pages(Kind):
+    """What a viewer hears, and the page that it shows after each message."""
+
+    name = "pages"
+    share = 3
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        if MISSING:
+            raise MissingError(MISSING)
+        self._organ = load_organ(write_organ(folder / "organ"))
+        self._fatal: list[BaseException] = []
+        arguments = ["--ros-args", "--log-level", "fatal", "-p", "port:=0", "-p", "image_transport:=raw"]
+        # What is recorded of the messages would count as memory of the one at work.
+        arguments += ["-p", "recording_mb:=1"]
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = _WatchedViewer(self._fatal.append)
+        self._subscriptions = {s.topic_name.rpartition("/")[2]: s for s in self._node.subscriptions}
+        self._first = self._shown_well()
+
+    def make(self, rng: random.Random) -> tuple[str, bytes]:
+        kind = rng.choice(_KINDS)
+        message = self._good(kind)
+        for _ in range(how_often(rng)):
+            _change(rng, message)
+        (content,) = serialised(rng, [message])
+        return f"{kind}.cdr", content
+
+    def run(self, name: str, content: bytes) -> str:
+        kind = name.removesuffix(".cdr")
+        messages = deserialised([content], [type(self._good(kind))])
+        if messages is None:
+            return "no message"
+        faults = self._node.boundary.faults
+        # Of an organ everything else is said; what ends it comes first, the other one last.
+        if kind == "structures":
+            self._node.said.clear()
+            self._tell(kind, messages[0])
+            self._tell_all_but(kind)
+        else:
+            self._tell_all_but(kind)
+            self._node.said.clear()
+            self._tell(kind, messages[0])
+        view = self._node.show()
+        for sentence in (*self._node.said, *([view.reason] if view.reason else [])):
+            check_sentence(sentence)
+        expect(not self._fatal, f"the viewer wants to end: {self._fatal}")
+        if self._node.boundary.faults != faults:
+            raise FailedError(f"something else than a SoftTissueError was raised: {self._node.said}")
+        if self._node.said:
+            return "refused"
+        if view.moment is not None:
+            _check(view.moment)
+        return "shown" if view.moment is not None else "not shown"
+
+    def check_good(self) -> None:
+        expect(
+            np.array_equal(self._shown_well(), self._first), "a good answer is shown otherwise than at first"
+        )
+
+    def close(self) -> None:
+        self._node.close(2.0)
+        self._node.destroy_node()
+        rclpy.try_shutdown()
+
+    def _tell(self, kind: str, message: Any) -> None:
+        self._node.forget_time()
+        self._subscriptions[kind].callback(message)
+
+    def _tell_all_but(self, kind: str) -> None:
+        for other in (*SAID, *_CLOUDS, *_PICTURES, "tool_distances"):
+            if other != kind:
+                self._tell(other, self._good(other))
+
+    def _shown_well(self) -> np.ndarray:
+        self._tell_all_but("")
+        self._node.said.clear()
+        view = self._node.show()
+        expect(view.moment is not None, f"a good answer is not shown: {view.reason} {self._node.said}")
+        expect(view.moment.judged and view.moment.surface is not None, "a good answer is not whole")
+        expect(view.distances is not None and view.image is not None, "no distances or no image are shown")
+        _check(view.moment)
+        return np.concatenate([view.moment.points, view.moment.surface, view.moment.observed])
+
+    def _good(self, kind: str) -> Any:
+        """Return a message of a kind as it should be."""
+        organ = self._organ
+        if kind == "surface_points":
+            return cloud_message(organ.surface.vertices, ["x", "y", "z"], _STAMP, "camera")
+        if kind == "observed_points":
+            vertices = organ.surface.vertices
+            table = np.zeros(len(vertices), dtype=_POINT)
+            for axis, name in enumerate("xyz"):
+                table[name] = vertices[:, axis]
+            table["used"] = np.arange(len(table)) % 2
+            return make_cloud(table, "camera", _STAMP)
+        if kind == "tool_distances":
+            count = len(organ.structures)
+            told = Distances(
+                names=[one.name for one in organ.structures],
+                kinds=[one.kind for one in organ.structures],
+                distance=[0.01] * count,
+                sigma=[0.001] * count,
+                covariance=[0.0] * 9 * count,
+                ahead=[math.nan] * count,
+                ahead_sigma=[math.nan] * count,
+            )
+            told.header.frame_id = organ.frame
+            told.nearest = [Point(x=0.01, y=0.0, z=0.0) for _ in range(count)]
+            return told
+        return good_message(kind, organ)
+
+
+def _check(moment: Any) -> None:
+    """Raise FailedError unless what is drawn are numbers that fit one another."""
+    arrays = [moment.points, moment.observed, *([] if moment.surface is None else [moment.surface])]
+    expect(all(bool(np.isfinite(array).all()) for array in arrays), "positions that are not finite are drawn")
+    expect(len(moment.left_out) == len(moment.observed), "not a word of each observed point")
+    expect(moment.camera is None or bool(np.isfinite(moment.camera).all()), "a camera nowhere")
+
+
+def _change(rng: random.Random, message: Any) -> None:
+    if isinstance(message, Distances):
+        _distances(rng, message)
+    else:
+        change(rng, message)
+
+
+def _distances(rng: random.Random, told: Any) -> None:
+    what = rng.randrange(4)
+    if what == 0:
+        changed_header(rng, told.header)
+    elif what == 1:
+        name = rng.choice(("names", "kinds", "distance", "sigma", "nearest", "covariance", "ahead"))
+        setattr(told, name, list(getattr(told, name))[: rng.choice((0, 1, 2))])
+    elif what == 2:
+        name = rng.choice(("distance", "sigma"))
+        values = list(getattr(told, name))
+        if values:
+            values[rng.randrange(len(values))] = rng.choice(FLOATS)
+        setattr(told, name, values)
+    elif told.names:
+        name = rng.choice(("names", "kinds"))
+        words = list(getattr(told, name))
+        if words:
+            words[rng.randrange(len(words))] = rng.choice(FRAMES)
+        setattr(told, name, words)
+
+
+if not MISSING:
+
+    class _WatchedViewer(ViewerNode):
+        """Shows when it is told to, and keeps what it says."""
+
+        def __init__(self, on_crash: Any) -> None:
+            self.said: list[str] = []
+            super().__init__(on_crash)
+            self.boundary.warn = lambda text: self.said.append(one_sentence(text))  # as it logs them
+
+        def forget_time(self) -> None:
+            """Take the next image however soon it comes."""
+            self._pictures._taken_s = -math.inf
+
+        def show(self) -> Any:
+            """Show what is now as the thread of the page does, with what it takes for a fault; return the view."""
+            self.boundary.guarded("page", self._show)(True)
+            return self._state.view(time.monotonic(), self.settings.maximum_age_s)
