@@ -290,3 +290,4 @@ def _status(rng: random.Random, status: Any) -> None:
         changed_header(rng, status.header)
     else:
         status.level, status.reason = rng.choice((0, 1, 2, 3, 255)), rng.choice(FRAMES)
+        status.organ, status.estimator = rng.choice(FRAMES), rng.choice(FRAMES)

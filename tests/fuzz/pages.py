@@ -81,7 +81,7 @@ class Pages(Kind):
             self._node.said.clear()
             self._tell(kind, messages[0])
         view = self._node.show()
-        for sentence in (*self._node.said, *([view.reason] if view.reason else [])):
+        for sentence in (*self._node.said, *filter(None, _words(view))):
             check_sentence(sentence)
         expect(not self._fatal, f"the viewer wants to end: {self._fatal}")
         if self._node.boundary.faults != faults:
@@ -148,6 +148,14 @@ class Pages(Kind):
             told.nearest = [Point(x=0.01, y=0.0, z=0.0) for _ in range(count)]
             return told
         return good_message(kind, organ)
+
+
+def _words(view: Any) -> list[str]:
+    """Return all words of messages that a page may show."""
+    words = [view.reason]
+    for named in (view.structures, view.distances):
+        words += [] if named is None else named.names
+    return words + ([] if view.health is None else [view.health.reason, *view.health.about])
 
 
 def _check(moment: Any) -> None:

@@ -23,6 +23,7 @@ from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.organ import make_organ
 from softtissue_estimator.registration.find_pose import FoundPose
 from softtissue_estimator.ros import organ_registration
+from softtissue_estimator.ros.cloud_poses import pose_question
 from softtissue_estimator.ros.inputs.pose_covariance import at_centre
 from softtissue_estimator.ros.inputs.registration import Registration
 
@@ -221,3 +222,15 @@ def test_second_call_is_refused_while_one_is_at_work(asked):
     run(both)
     assert (first.result, second.result) == (CODES.SUCCESS, CODES.BUSY)
     assert "one registration at a time" in second.message
+
+
+def test_numbers_that_are_none_are_left_out_in_silence():
+    """A signalling NaN, which only a damaged message has."""
+    cloud = message(FRAME)
+    points = pose_question(cloud, ORGAN, EstimatorConfig(), Registration().cameras).points
+    data = bytearray(cloud.data)
+    data[:4] = bytes.fromhex("0100a07f")
+    cloud.data = bytes(data)
+    with np.errstate(all="raise"):
+        found = pose_question(cloud, ORGAN, EstimatorConfig(), Registration().cameras).points
+    np.testing.assert_array_equal(found, points[1:])

@@ -100,7 +100,8 @@ def pose_question(
     check_cloud(message, False)
     cloud = read_cloud(message, False)
     labels = read_labels(message, config.organ_label)
-    points = cloud.points.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # numbers that are none, which only a damaged message has
+        points = cloud.points.astype(np.float64)
     wanted = np.isfinite(points).all(axis=1) & (np.abs(points) < FARTHEST_M).all(axis=1)
     if labels.organ is not None:
         wanted &= labels.organ

@@ -85,6 +85,8 @@ def test_status_is_read_and_an_unknown_level_refused():
     )
     assert (read.level, read.reason, read.latency_s, read.points_used) == ("DEGRADED", "little", 0.5, 7)
     assert read.about[0] == "liver"
+    unprintable = read_health(EstimatorStatus(level=2, reason="a\nb\x1b[2J", organ="\u202eliver"))
+    assert (unprintable.reason, unprintable.about[0]) == ("a b\\x1b[2J", "\\u202eliver")
     with pytest.raises(InvalidInputError, match="status: expected a level of 0 to 2, got 7"):
         read_health(EstimatorStatus(level=7))
 

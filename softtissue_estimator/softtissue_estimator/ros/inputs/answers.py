@@ -10,8 +10,11 @@ from softtissue_msgs.msg import Structures as StructuresMessage
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.ros.inputs.cloud_layout import columns, field_names, records
 from softtissue_estimator.ros.inputs.conversions import check_stamp, stamp_ns
+from softtissue_estimator.support.sentences import one_sentence
 from softtissue_estimator.view.structures import FloatArray, Structures, make_structures
 
+LONGEST_NAME = 80
+"""Letters of a structure's name that are shown."""
 _LARGEST_FACES = 4_000_000
 
 
@@ -35,7 +38,7 @@ def read_structures(message: StructuresMessage) -> Structures:
     """
     colours = np.array([[c.r, c.g, c.b] for c in message.colours], dtype=np.float64).reshape(-1, 3)
     return make_structures(
-        tuple(message.names),
+        tuple(one_sentence(name, LONGEST_NAME) for name in message.names),
         tuple(message.kinds),
         colours,
         np.asarray(message.first_vertex, dtype=np.int64),

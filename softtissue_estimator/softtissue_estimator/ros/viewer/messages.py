@@ -8,9 +8,11 @@ from sensor_msgs.msg import PointCloud2
 from softtissue_msgs.msg import Distances, EstimatorStatus
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.ros.inputs.answers import LONGEST_NAME
 from softtissue_estimator.ros.inputs.cloud_layout import NUMBERS, columns, field_names, records
 from softtissue_estimator.ros.inputs.conversions import carries_reference, check_stamp, stamp_ns
 from softtissue_estimator.ros.inputs.point_labels import MASK
+from softtissue_estimator.support.sentences import one_sentence
 from softtissue_estimator.viewer.moment import Health, Level, Observed, ToolDistances
 
 USED = "used"
@@ -86,13 +88,18 @@ def read_health(message: EstimatorStatus) -> Health:
         raise InvalidInputError(f"status: expected a level of 0 to 2, got {message.level}")
     return Health(
         level=_LEVELS[message.level],
-        reason=message.reason,
+        reason=one_sentence(message.reason),
         latency_s=float(message.total_seconds),
         visible_fraction=float(message.visible_fraction),
         points_used=int(message.points_used),
         points_rejected=int(message.points_rejected),
         outlier_fraction=float(message.outlier_fraction),
-        about=(message.organ, message.estimator, message.matching, message.registration),
+        about=(
+            one_sentence(message.organ),
+            one_sentence(message.estimator),
+            one_sentence(message.matching),
+            one_sentence(message.registration),
+        ),
     )
 
 
@@ -113,7 +120,7 @@ def read_distances(message: Distances) -> ToolDistances:
         )
     return ToolDistances(
         message.header.frame_id,
-        tuple(message.names),
+        tuple(one_sentence(name, LONGEST_NAME) for name in message.names),
         tuple(message.kinds),
         np.array(message.distance, dtype=np.float64),
         np.array(message.sigma, dtype=np.float64),
