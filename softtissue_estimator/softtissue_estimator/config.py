@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.support.priority import NICENESS
+
+NICENESS = 15
+"""Of what runs beside the estimator: above that of its own thread between frames, so that this comes first, too."""
 
 
 def setting(

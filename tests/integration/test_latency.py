@@ -195,10 +195,12 @@ def test_small_benchmark_through_real_processes(tmp_path, monkeypatch, capfd, en
     for times in services["service_ms"].values():
         assert times["calls"] >= 2 and 0.0 < times["p50_ms"] <= times["max_ms"]
     overlay = drawn["overlay"]
-    assert [row["overlay"] for row in (plain, markers, services)] == [None] * 3
+    assert [row[one] for row in (plain, markers, services) for one in ("overlay", "viewer")] == [None] * 6
     # What is drawn needs the answers: without them there is a banner, which takes as long as the rest here.
     assert overlay["sent"] >= 8 and 0.8 * overlay["sent"] <= overlay["shown"] <= overlay["sent"]
     assert 0.0 < overlay["p50_ms"] <= overlay["max_ms"] and overlay["cpu_share"] > 0.0
+    assert drawn["viewer"]["cpu_share"] > 0.0 and drawn["viewer"]["rss_mb"] > 100.0
+    assert drawn["p95_over_alone"] == pytest.approx(drawn["p95_ms"] / plain["p95_ms"], abs=0.01)
     assert "| 64x48@10 |" in markdown(summary)
     assert summary["starts"][0]["start_to_answer_s"] > 0.0
     paths = {row["path"]: row for row in summary["messages"]}

@@ -6,8 +6,6 @@ import sys
 import time
 from pathlib import Path
 
-NICENESS = 15
-"""Of what runs beside the estimator: above that of its own thread between frames, so that this comes first, too."""
 _THREADS = Path("/proc/self/task")
 _GROUP = Path("/proc/self/autogroup")
 _ATTEMPTS, _PAUSE_S = 5, 0.12  # Linux takes ten a second

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from softtissue_estimator.support.priority import NICENESS
+from softtissue_estimator.config import NICENESS
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="threads have no niceness of their own here")
 

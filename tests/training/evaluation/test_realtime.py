@@ -225,30 +225,40 @@ def test_aims_are_judged_by_the_worst_run():
 def drawn(images, milliseconds, **changes):
     figures = {"p50_ms": 1.0, "p95_ms": milliseconds, "max_ms": 99.0, "sent": 9, "shown": 8}
     figures |= {"images": images, "cpu_share": 0.5, "rss_mb": 150.0}
-    return path_row(points=10_000, overlay=figures, **changes)
+    viewer = {"cpu_share": 0.25, "rss_mb": 320.0}
+    return path_row(points=10_000, **({"overlay": figures, "viewer": viewer} | changes))
 
 
-def test_overlay_is_judged_beside_the_node_without_it():
+def test_overlay_and_viewer_are_judged_beside_the_node_without_them():
     summary = found()
     summary["end_to_end"] += [
         path_row(points=10_000, p95_ms=20.0),
-        drawn("640x480@25", 50.0, p95_ms=24.0),
-        drawn("1920x1080@10", 140.0, p95_ms=30.0),
+        drawn("640x480@25", 50.0, p95_ms=24.0, p95_over_alone=1.2),
+        drawn("1920x1080@10", 140.0, p95_ms=30.0, p95_over_alone=1.5),
     ]
     written = bench_summary(summary, "command", "today")
     judged = {row["what"]: row for row in written["aims"]}
     small = judged["overlay, 640x480 at 25 Hz, image to image, p95, ms"]
     assert (small["measured"], small["met"]) == (50.0, True)
     assert judged["overlay, 1920x1080 at 10 Hz, image to image, p95, ms"]["met"] is False
-    beside = judged["p95 of the node beside an overlay over that without"]
+    beside = judged["p95 of the node beside an overlay and a viewer over that without"]
     assert (beside["measured"], beside["met"]) == (1.5, False)
-    # The node alone is judged without it.
+    # The node alone is judged without them.
     assert judged["elastic, 10,000 points at 30 Hz, p95, ms"]["measured"] == 20.0
     shown = markdown(written)
     assert (
-        "| 640x480@25 | 1.0 | 50.0 | 99.0 | 9 | 8 | 0.5 | 150 | elastic, 10000 points, 30 Hz | 24.0 |"
-        in shown
+        "| 640x480@25 | 1.0 | 50.0 | 99.0 | 9 | 8 | 0.5 | 150 | 0.25 | 320"
+        " | elastic, 10000 points, 30 Hz | 24.0 | 1.2 |" in shown
     )
+    assert "| 30.0 | 1.5 |" in shown
+
+
+def test_overlay_without_a_viewer_says_nothing_of_both():
+    summary = found()
+    summary["end_to_end"].append(drawn("640x480@25", 50.0, viewer=None, p95_over_alone=1.5))
+    written = bench_summary(summary, "command", "today")
+    assert not [row for row in written["aims"] if "viewer" in row["what"]]
+    assert "| 0.5 | 150 |  |  | elastic, 10000 points, 30 Hz |" in markdown(written)
 
 
 def test_long_runs_have_a_table_of_their_own():

@@ -46,7 +46,8 @@ class RealtimePlan:
     seed
         Of points and noise.
     overlays
-        Images that an overlay draws on beside the first node of the first organ, as `latency --overlay` takes them.
+        Images that an overlay draws on beside the first node of the first organ, as `latency --overlay` takes them; a
+        viewer runs too.
     """
 
     estimators: tuple[str, ...]

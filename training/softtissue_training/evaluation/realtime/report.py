@@ -48,8 +48,11 @@ _OVERLAY_COLUMNS = (
     ("shown", "shown"),
     ("cores", "cpu_share"),
     ("RSS, MB", "rss_mb"),
+    ("viewer, cores", "viewer_cpu_share"),
+    ("its RSS, MB", "viewer_rss_mb"),
     ("node", "node"),
     ("its p95", "node_p95_ms"),
+    ("over that alone", "p95_over_alone"),
 )
 _SOAK_COLUMNS = (
     ("estimator", "estimator"),
@@ -176,18 +179,25 @@ def _streams(rows: Sequence[Row]) -> list[str]:
 
 
 def _overlays(rows: Iterable[Row]) -> list[str]:
-    drawn = [
-        {**row["overlay"], "node": f"{row['estimator']}, {row['points']} points, {row['rate_hz']:g} Hz"}
-        | {"node_p95_ms": row["p95_ms"]}
-        for row in rows
-        if row.get("overlay")
-    ]
+    drawn = [_beside(row) for row in rows if row.get("overlay")]
     if not drawn:
         return []
     return [
-        "## From image in to image out of an overlay beside the node, ms",
+        "## From image in to image out of an overlay beside node and viewer, ms",
         _figures(_OVERLAY_COLUMNS, drawn),
     ]
+
+
+def _beside(row: Row) -> Row:
+    viewer = row["viewer"] or {}
+    return {
+        **row["overlay"],
+        "viewer_cpu_share": viewer.get("cpu_share"),
+        "viewer_rss_mb": viewer.get("rss_mb"),
+        "node": f"{row['estimator']}, {row['points']} points, {row['rate_hz']:g} Hz",
+        "node_p95_ms": row["p95_ms"],
+        "p95_over_alone": row["p95_over_alone"],
+    }
 
 
 def _soak(rows: Sequence[Row]) -> list[str]:

@@ -125,7 +125,7 @@ def _latency(plan: RealtimePlan, run: NodeRun, organ: Path, folder: Path) -> Par
         # Each path at the size that the aims speak of: the most points, the most vertices, one mesh.
         arguments += ["--messages", str(plan.points[-1])]
     if plan.overlays and (run.estimator, run.vertices) == (plan.estimators[0], plan.vertices[0]):
-        arguments += ["--overlay", *plan.overlays]
+        arguments += ["--overlay", *plan.overlays, "--viewer"]
     return run_latency_tool(arguments, folder / "latency.json")
 
 

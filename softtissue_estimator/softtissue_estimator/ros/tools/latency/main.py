@@ -45,6 +45,11 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         help="one more run of the middle one for each of these, an overlay drawing on such images beside the node",
     )
     parser.add_argument(
+        "--viewer",
+        action="store_true",
+        help="a viewer beside the node too in the runs with an overlay, or in one more of the middle one",
+    )
+    parser.add_argument(
         "--messages",
         type=int,
         metavar="N",
@@ -77,7 +82,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
 
 
 def combinations(options: argparse.Namespace) -> list[Any]:
-    """List the runs: the grid of points and rates, then those with markers, with services and with an overlay."""
+    """List the runs: the grid of points and rates, then those with markers, with services, and with others beside."""
     from softtissue_estimator.ros.tools.latency.session import Combination
 
     runs = [Combination(p, r, options.seconds) for p, r in product(options.points, options.rates)]
@@ -86,7 +91,8 @@ def combinations(options: argparse.Namespace) -> list[Any]:
         runs.append(Combination(*middle, options.seconds, markers=True))
     if options.services:
         runs.append(Combination(*middle, options.seconds, services=True))
-    runs += [Combination(*middle, options.seconds, images=images) for images in options.overlay]
+    beside = options.overlay or ([None] if options.viewer else [])
+    runs += [Combination(*middle, options.seconds, images=one, viewer=options.viewer) for one in beside]
     return runs
 
 
@@ -141,8 +147,20 @@ def measure(node: Any, options: argparse.Namespace, stop: StopRequest, folder: P
             for what in combinations(options):
                 row = session.measure(child, what)
                 rows.append({"estimator": options.estimator, "device": start["device"], **row})
+                if what.beside:
+                    rows[-1]["p95_over_alone"] = over_alone(rows[-1], rows)
                 print(line(rows[-1]), flush=True)
     return report
+
+
+def over_alone(row: dict[str, Any], rows: list[dict[str, Any]]) -> float | None:
+    """Return the p95 of a run over that of the same one with nothing beside the node; None without one."""
+    same = ("points", "rate_hz", "markers", "services")
+    for other in rows:
+        alone = other["overlay"] is None and other["viewer"] is None
+        if alone and other["p95_ms"] and row["p95_ms"] and all(row[key] == other[key] for key in same):
+            return round(float(row["p95_ms"] / other["p95_ms"]), 2)
+    return None
 
 
 def message_line(row: dict[str, Any]) -> str:
@@ -158,8 +176,9 @@ def line(row: dict[str, Any]) -> str:
     also = [name for name in ("markers", "services") if row[name]]
     what = f"{row['estimator']} on {row['device']}, {row['points']} points, {row['rate_hz']:g} Hz"
     what += f" (with {', '.join(also)})" if also else ""
-    if row["overlay"] is not None:
-        what += f" (with an overlay on {row['overlay']['images']})"
+    beside = [] if row["overlay"] is None else [f"an overlay on {row['overlay']['images']}"]
+    beside += [] if row["viewer"] is None else ["a viewer"]
+    what += f" (with {' and '.join(beside)})" if beside else ""
     if row["p50_ms"] is None:
         return f"{what}: none of {row['sent']} answered, {row['dropped']} dropped, {row['refused']} refused"
     text = (
@@ -174,6 +193,10 @@ def line(row: dict[str, Any]) -> str:
             f"   shown {drawn['shown']} of {drawn['sent']}   cores {drawn['cpu_share']:.2f}"
             f"   {drawn['rss_mb']:.0f} MB"
         )
+    if row["viewer"] is not None:
+        text += f"\n  viewer: cores {row['viewer']['cpu_share']:.2f}   {row['viewer']['rss_mb']:.0f} MB"
+    if row.get("p95_over_alone") is not None:
+        text += f"\n  p95 over that of the node alone: {row['p95_over_alone']:.2f}"
     for service, times in row.get("service_ms", {}).items():
         if times["calls"]:
             text += f"\n  {service}: p50 {times['p50_ms']:.1f}  max {times['max_ms']:.1f} ms in {times['calls']} calls"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.errors import InvalidInputError, SoftTissueError
 from softtissue_estimator.ros.tools.latency.camera import REGISTRATION
 from softtissue_estimator.ros.tools.latency.control import Remote, open_remote
 from softtissue_estimator.ros.tools.latency.statistics import latencies_ms, quantiles
@@ -54,7 +54,15 @@ class Overlay:
         self._before = usage_of(child.pid)
 
     def connected(self) -> bool:
-        """Say whether images pass."""
+        """Say whether images pass.
+
+        Raises
+        ------
+        SoftTissueError
+            If the overlay has ended.
+        """
+        if self._child.poll() is not None:
+            raise SoftTissueError(f"overlay: expected one that runs, got exit code {self._child.returncode}")
         return bool(self._camera.ask("connected")["connected"])
 
     def begin(self) -> None:

@@ -3,7 +3,7 @@
 import math
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +17,7 @@ from softtissue_estimator.ros.tools.latency.overlay import Images, Overlay, open
 from softtissue_estimator.ros.tools.latency.probe import Probe
 from softtissue_estimator.ros.tools.latency.statistics import Run, summarise
 from softtissue_estimator.ros.tools.latency.usage import cpu_share, gpu_memory_mb, usage_of
+from softtissue_estimator.ros.tools.latency.viewer import Viewer, open_viewer
 from softtissue_estimator.ros.tools.processes import executable, relayed_process
 from softtissue_estimator.support.cache import cache_folder
 
@@ -48,6 +49,12 @@ class Combination:
     markers: bool = False
     services: bool = False
     images: Images | None = None
+    viewer: bool = False
+
+    @property
+    def beside(self) -> bool:
+        """Whether an overlay or a viewer runs beside the node."""
+        return self.viewer or self.images is not None
 
 
 class Interrupted(Exception):
@@ -107,18 +114,28 @@ class Session:
                 return
 
     def measure(self, child: "subprocess.Popen[str]", what: Combination) -> dict[str, Any]:
-        """Measure one run through a running node, with an overlay beside it if images are said."""
-        if what.images is None:
-            return {"overlay": None, **self._measure(child, what, None)}
-        with open_overlay(
-            self._path, what.images, NAMESPACE, self._folder, lambda done, what: self._wait(child, done, what)
-        ) as overlay:
-            overlay.begin()
-            row = self._measure(child, what, overlay)
-            return {"overlay": overlay.end(what.warm_up_s), **row}
+        """Measure one run through a running node, with an overlay or a viewer beside it if that is said."""
+
+        def wait(done: Callable[[], bool], awaited: str) -> None:
+            self._wait(child, done, awaited)
+
+        with ExitStack() as stack:
+            viewer, overlay = None, None
+            if what.viewer:
+                viewer = stack.enter_context(open_viewer(self._ros_node, NAMESPACE, self._folder, wait))
+            if what.images is not None:
+                opened = open_overlay(self._path, what.images, NAMESPACE, self._folder, wait)
+                overlay = stack.enter_context(opened)
+                overlay.begin()
+            row = self._measure(child, what, [one for one in (overlay, viewer) if one is not None])
+            return {
+                "overlay": None if overlay is None else overlay.end(what.warm_up_s),
+                "viewer": None if viewer is None else viewer.end(),
+                **row,
+            }
 
     def _measure(
-        self, child: "subprocess.Popen[str]", what: Combination, overlay: Overlay | None
+        self, child: "subprocess.Popen[str]", what: Combination, beside: Sequence[Overlay | Viewer]
     ) -> dict[str, Any]:
         self._ask_sender("prepare", points=what.points, rate_hz=what.rate_hz)
         self._receiver.ask("begin", markers=what.markers)
@@ -130,8 +147,8 @@ class Session:
         self._pause(warm_up / what.rate_hz)
         probe = Probe(self._ros_node, NAME, self._organ.query_points) if what.services else None
         before = usage_of(child.pid)
-        if overlay is not None:
-            overlay.measure()
+        for one in beside:
+            one.measure()
         self._pause((count - 1) / what.rate_hz)
         sent = self._sender.ask("end")
         after = usage_of(child.pid)

@@ -4,9 +4,10 @@ import argparse
 import sys
 from pathlib import Path
 
+from softtissue_estimator.config import NICENESS
 from softtissue_estimator.errors import SoftTissueError
 from softtissue_estimator.ros.runtime import Spinner, StopRequest, run_tool
-from softtissue_estimator.support.priority import NICENESS, step_back
+from softtissue_estimator.support.priority import step_back
 
 INPUTS = (
     "surface_points",
