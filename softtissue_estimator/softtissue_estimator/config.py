@@ -7,8 +7,8 @@ from typing import Any
 
 from softtissue_estimator.errors import InvalidInputError
 
-NICENESS = 15
-"""Of what runs beside the estimator: above that of its own thread between frames, so that this comes first, too."""
+NICENESS = 5
+"""Of what runs beside the estimator: where both want a core, the estimator has three quarters of it."""
 
 
 def setting(
