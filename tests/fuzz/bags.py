@@ -1,4 +1,4 @@
-"""Damaged bags: MCAP and sqlite3, alone and as a folder with metadata.yaml."""
+"""Damaged bags: MCAP and sqlite3, alone and as a folder, with metadata.yaml or without it."""
 
 import random
 import shutil
@@ -21,6 +21,7 @@ else:
 
 _MESSAGES = 20
 _MOST_MESSAGE_BYTES = 1 << 24
+_UNFINISHED, _UNFINISHED_SHARE = "unfinished-", 0.4
 
 
 class Bags(Kind):
@@ -44,18 +45,27 @@ class Bags(Kind):
 
     def make(self, rng: random.Random) -> tuple[str, bytes]:
         name = rng.choice([*sorted(self._templates), "mcap/mcap.mcap", "db3/db3.db3"])
+        if name.endswith("mcap") and rng.random() < _UNFINISHED_SHARE:
+            # As a killed recorder leaves it, and damaged or not.
+            content = self._templates[name]
+            content = damaged_bytes(rng, content) if rng.random() < 0.5 else content
+            return _UNFINISHED + name.replace("/", "+"), content[: rng.randrange(len(content) + 1)]
         damaged = damaged_text if name.endswith("yaml") and rng.random() < 0.8 else damaged_bytes
         alone = "alone-" if rng.random() < 0.5 and not name.endswith("yaml") else ""
         return alone + name.replace("/", "+"), damaged(rng, self._templates[name])
 
     def run(self, name: str, content: bytes) -> str:
-        folder, _, file = name.removeprefix("alone-").partition("+")
+        folder, _, file = name.removeprefix("alone-").removeprefix(_UNFINISHED).partition("+")
         place = self.folder / folder / file
         place.write_bytes(content)
+        if name.startswith(_UNFINISHED):
+            (place.parent / "metadata.yaml").unlink()
         try:
             self._read(place if name.startswith("alone-") else place.parent)
         finally:
             place.write_bytes(self._templates[f"{folder}/{file}"])
+            if name.startswith(_UNFINISHED):
+                (place.parent / "metadata.yaml").write_bytes(self._templates[f"{folder}/metadata.yaml"])
             for beside in place.parent.glob(f"{file}-*"):  # of sqlite3
                 beside.unlink()
         return "read"

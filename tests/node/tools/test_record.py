@@ -180,10 +180,22 @@ def told(path):
 
 
 def test_recording_that_was_cut_off_is_read_up_to_its_last_flush(tmp_path):
-    file, _ = cut_off(tmp_path / "bag")
+    file, before = cut_off(tmp_path / "bag")
     expected = [(number, serialize_message(status(number))) for number in (1, 2, 3)]
-    assert told(tmp_path / "bag") == told(file) == expected
-    assert [path.name for path in (tmp_path / "bag").iterdir()] == [file.name]
+    assert told(tmp_path / "bag") == expected
+    assert list((tmp_path / "bag").iterdir()) == [file] and file.read_bytes() == before
+
+
+def test_file_that_was_whole_once_is_damaged_without_its_end(tmp_path):
+    file, _ = cut_off(tmp_path / "bag")
+    for path in (file, file.rename(tmp_path / "other.mcap")):
+        with pytest.raises(InvalidInputError, match="expected"):
+            Bag(path)
+    record(tmp_path / "whole")
+    (file,) = (tmp_path / "whole").glob("*.mcap")
+    file.write_bytes(file.read_bytes()[:-1])
+    with pytest.raises(InvalidInputError, match="expected MCAP or sqlite3 that can be read"):
+        Bag(tmp_path / "whole")
 
 
 def test_recording_that_was_cut_off_anywhere_is_read_up_to_there(tmp_path):

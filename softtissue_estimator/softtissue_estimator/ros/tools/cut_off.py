@@ -23,18 +23,21 @@ _MOST_LETTERS = 16  # of the name of a compression
 
 
 def source_of(path: Path) -> Any:
-    """Return what a bag is read from: its path, a file in it, or a `CutOff`.
+    """Return what a bag is read from: its path, or, of a folder that was never finished, the file in it or a `CutOff`.
+
+    A file without an end that is given alone, or that metadata.yaml speaks of, was whole once: it is damaged.
 
     Parameters
     ----------
     path : Path
-        A file, or a folder, perhaps without metadata.yaml, which is written at the end.
+        A file, or a folder, perhaps without metadata.yaml, which a recorder writes last.
     """
-    file = path
-    if path.is_dir() and not (path / "metadata.yaml").exists():
-        files = [*path.glob("*.mcap"), *path.glob("*.db3")]
-        file = files[0] if len(files) == 1 else path
-    return CutOff(file) if file.suffix == ".mcap" and file.is_file() and _lacks_end(file) else file
+    if not path.is_dir() or (path / "metadata.yaml").exists():
+        return path
+    files = [*path.glob("*.mcap"), *path.glob("*.db3")]
+    if len(files) != 1:
+        return path
+    return CutOff(files[0]) if files[0].suffix == ".mcap" and _lacks_end(files[0]) else files[0]
 
 
 def _lacks_end(path: Path) -> bool:
