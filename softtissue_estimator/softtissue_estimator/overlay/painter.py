@@ -12,6 +12,7 @@ from softtissue_estimator.overlay.drawing import (
     Drawing,
     Floats,
     Image,
+    Window,
     find_window,
     line_px,
     with_nearness,
@@ -85,17 +86,82 @@ def paint(
     list of Outlined
         What is on the image, in the structures' order.
     """
+    painter = Painter(Buffers() if buffers is None else buffers)
+    return painter.paint(
+        image,
+        camera,
+        structures,
+        placed,
+        order=order,
+        margin_m=margin_m,
+        names=names,
+        names_below=names_below,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    """What is drawn, until something else is drawn with the same buffers, and where on the image each structure is."""
+
+    drawing: Drawing
+    window: Window
+    extents: Numbers
+    outlined: list[Outlined]
+
+
+class Painter:
+    """Draws as `paint` does; where the same is to be drawn as on the image before, it is only mixed with this one.
+
+    Parameters
+    ----------
+    buffers : Buffers
+        Nobody else may use them.
+    """
+
+    def __init__(self, buffers: Buffers) -> None:
+        self._buffers = buffers
+        self._of: tuple[object, ...] = ()
+        self._prepared: _Prepared | None = None
+
+    def paint(
+        self,
+        image: Image,
+        camera: Camera,
+        structures: Structures,
+        placed: Placed,
+        *,
+        order: Order = "bgr",
+        margin_m: float = 0.0,
+        names: bool = True,
+        names_below: int = 0,
+    ) -> list[Outlined]:
+        """See `paint`; camera, structures and where these are count as the same where they are the same objects."""
+        wanted = (camera, structures, placed)
+        same = len(self._of) > 0 and all(one is other for one, other in zip(self._of, wanted, strict=False))
+        if not same or self._of[-1] != margin_m:
+            self._of = ()  # while it is made
+            self._prepared = _prepare(camera, structures, placed, margin_m, self._buffers)
+            self._of = (*wanted, margin_m)
+        if self._prepared is None:
+            return []
+        colours = structures.colours if order == "rgb" else structures.colours[:, ::-1]
+        return _put(image, self._prepared, colours, names, names_below)
+
+
+def _prepare(
+    camera: Camera, structures: Structures, placed: Placed, margin_m: float, buffers: Buffers
+) -> _Prepared | None:
+    """Draw into buffers; None where nothing is on the image."""
     pixels = camera.project(placed.points)
     normals = [_normals(placed.points[structures.part(n)], faces) for n, faces in enumerate(structures.faces)]
     margins = _margins(camera, structures, placed, normals, margin_m)
     sigma_px = _sigma_px(camera, placed.sigma, pixels)
     window = find_window([pixels, *margins.values()], camera, int(_reach_px(camera, sigma_px)) + 4)
     if window is None:
-        return []
+        return None
     surface = _surface(camera, structures, placed.surface)
     values = np.stack([_shades(placed.points, normals), sigma_px], axis=1)
-    colours = structures.colours if order == "rgb" else structures.colours[:, ::-1]
-    drawing = Drawing(window, camera, len(structures.names), Buffers() if buffers is None else buffers)
+    drawing = Drawing(window, camera, len(structures.names), buffers)
     for number, faces in enumerate(structures.faces):
         drawing.add(pixels[structures.part(number)], faces, values[structures.part(number)], number + 1)
     extents = drawing.outline(surface)
@@ -103,22 +169,30 @@ def paint(
         drawing.add_contour(
             grown, structures.faces[number], number + 1, _MARGIN_STRENGTH, _DASHES, line_px(camera)
         )
-    drawing.onto(image, colours)
     depths = _depths(camera, structures, placed.points, pixels, surface)
-    shown = [
+    outlined = [
         Outlined(name, depth, int(extents[number + 1, 4]))
         for number, (name, depth) in enumerate(zip(structures.names, depths, strict=True))
     ]
+    return _Prepared(drawing, window, extents, outlined)
+
+
+def _put(
+    image: Image, prepared: _Prepared, colours: FloatArray, names: bool, names_below: int
+) -> list[Outlined]:
+    """Mix what was drawn with an image, and write the names; `colours` (s, 3), 0 to 1, in its order."""
+    window, extents = prepared.window, prepared.extents
+    prepared.drawing.onto(image, colours)
     if names:
         labels = [
             Label(
                 _said(one), tuple(extents[n + 1, :4] + [window.left, window.left, window.top, window.top]), c
             )
-            for n, (one, c) in enumerate(zip(shown, colours, strict=True))
+            for n, (one, c) in enumerate(zip(prepared.outlined, colours, strict=True))
             if one.pixels
         ]
-        write_labels(image, labels, (window.left, window.top), drawing.covered, names_below)
-    return [one for one in shown if one.pixels]
+        write_labels(image, labels, (window.left, window.top), prepared.drawing.covered, names_below)
+    return [one for one in prepared.outlined if one.pixels]
 
 
 def outline(

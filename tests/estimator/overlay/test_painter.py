@@ -5,9 +5,12 @@ import pytest
 
 from estimator.overlay.ball import balls
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.overlay import painter
+from softtissue_estimator.overlay.buffers import Buffers
 from softtissue_estimator.overlay.camera import make_camera
 from softtissue_estimator.overlay.labels import Label, banner_rows, write_banner, write_labels
 from softtissue_estimator.overlay.painter import outline, paint
+from softtissue_estimator.overlay.scene import Placed
 from softtissue_estimator.view.structures import make_structures
 
 FOCAL = 600.0
@@ -194,3 +197,36 @@ def test_structures_that_contradict_themselves_are_refused():
         make_structures(("a",), ("b",), rgb, np.array([0, 3]), np.array([0, 2]), faces)
     with pytest.raises(InvalidInputError, match="between its own vertices"):
         make_structures(("a",), ("b",), rgb, np.array([0, 2]), np.array([0, 1]), faces)
+
+
+def test_same_structures_are_mixed_with_the_next_image_and_drawn_anew_where_anything_changed(monkeypatch):
+    drawn = []
+    prepare = painter._prepare
+    monkeypatch.setattr(painter, "_prepare", lambda *given: drawn.append(given) or prepare(*given))
+    structures, placed = balls([(0.0, 0.0, 0.15), (0.02, 0.0, 0.12)], [0.02, 0.01], sigma=0.002)
+    other = Placed(placed.points + 0.001, placed.sigma, None)
+    kept = painter.Painter(Buffers())
+    for number, (where, order, margin_m, anew) in enumerate(
+        [
+            (placed, "bgr", 0.0, True),
+            (placed, "bgr", 0.0, False),
+            (placed, "rgb", 0.0, False),
+            (other, "rgb", 0.0, True),
+            (other, "rgb", 0.01, True),
+            (placed, "bgr", 0.0, True),
+        ]
+    ):
+        image, expected = picture() + 10 * number, picture() + 10 * number
+        before = len(drawn)
+        options = {"order": order, "margin_m": margin_m}
+        shown = kept.paint(image, CAMERA, structures, where, **options)
+        assert (len(drawn) > before) is anew
+        assert repr(shown) == repr(paint(expected, CAMERA, structures, where, **options))
+        np.testing.assert_array_equal(image, expected)
+
+
+def test_nothing_is_kept_of_structures_that_are_not_on_the_image():
+    kept = painter.Painter(Buffers())
+    behind = balls([(0.0, 0.0, -0.15)], [0.02])
+    assert kept.paint(picture(), CAMERA, *behind) == [] == kept.paint(picture(), CAMERA, *behind)
+    assert len(kept.paint(picture(), CAMERA, *balls([(0.0, 0.0, 0.15)], [0.02]))) == 1

@@ -67,6 +67,21 @@ def test_nearest_answer_is_shown_where_its_own_pose_has_it(answers):
     assert (view.head, view.structures.names) == ("", ("vein",))
 
 
+def test_what_an_image_shows_is_the_same_object_while_nothing_of_it_changes(answers):
+    answers.take_points(cloud(10 * S))
+    answers.take_pose(pose(10 * S, 0.1))
+    before = answers.view("eye", 10 * S, 0.3).placed
+    assert answers.view("eye", int(10.1 * S), 0.3).placed is before
+    answers.take_surface(cloud(10 * S, rows=4))
+    with_surface = answers.view("eye", int(10.1 * S), 0.3).placed
+    assert with_surface is not before and len(with_surface.surface) == 4
+    answers.take_pose(pose(10 * S, 0.2))
+    moved = answers.view("eye", int(10.1 * S), 0.3).placed
+    np.testing.assert_allclose(moved.points[:, 2], 0.2)
+    answers.take_points(cloud(10 * S, shift=0.1))
+    np.testing.assert_allclose(answers.view("eye", 10 * S, 0.3).placed.points[0], [0.1, 0.0, 0.2], atol=1e-6)
+
+
 @pytest.mark.parametrize("away", [0.31, -0.31])
 def test_answer_that_is_too_old_or_too_new_is_not_shown(answers, away):
     answers.take_points(cloud(10 * S))

@@ -4,6 +4,7 @@ import threading
 from collections import OrderedDict
 from dataclasses import dataclass
 
+import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import PointCloud2
 from softtissue_msgs.msg import EstimatorStatus
@@ -58,6 +59,7 @@ class Answers:
         self._surface: Points | None = None
         self._status: EstimatorStatus | None = None
         self._organ_frame = ""
+        self._placed: tuple[Points, Points | None, FloatArray, Placed] | None = None
 
     @property
     def organ_frame(self) -> str:
@@ -155,13 +157,26 @@ class Answers:
             motion = self._motion(frame, answer, pose, stamp)
         except InvalidInputError as error:
             return View(head="NO POSE", reason=str(error).replace("cloud", "image"))
-        outer = None
-        if surface is not None and abs(surface.stamp_ns - answer.stamp_ns) <= 1e9 * maximum_age_s:
-            outer = transform_points(motion, surface.points)
-        placed = Placed(transform_points(motion, answer.points), answer.sigma, outer)
+        if surface is not None and abs(surface.stamp_ns - answer.stamp_ns) > 1e9 * maximum_age_s:
+            surface = None
+        placed = self._place(answer, surface, motion)
         degraded = status is not None and status.level == EstimatorStatus.DEGRADED
         head, reason = ("DEGRADED", status.reason) if degraded and status is not None else ("", "")
         return View(structures, placed, head, reason)
+
+    def _place(self, answer: Points, surface: Points | None, motion: FloatArray) -> Placed:
+        """Move an answer into the camera's frame; the same object as before where nothing of it changed."""
+        before = self._placed
+        if (
+            before is None
+            or before[0] is not answer
+            or before[1] is not surface
+            or not np.array_equal(before[2], motion)
+        ):
+            outer = None if surface is None else transform_points(motion, surface.points)
+            placed = Placed(transform_points(motion, answer.points), answer.sigma, outer)
+            self._placed = before = answer, surface, motion, placed
+        return before[3]
 
     def _motion(
         self, frame: str, answer: Points, pose: tuple[str, FloatArray] | None, stamp: int

@@ -13,7 +13,7 @@ from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.overlay.buffers import Buffers
 from softtissue_estimator.overlay.camera import Camera
 from softtissue_estimator.overlay.labels import banner_rows, write_banner
-from softtissue_estimator.overlay.painter import paint
+from softtissue_estimator.overlay.painter import Painter
 from softtissue_estimator.overlay.settings import OverlaySettings
 from softtissue_estimator.ros.inputs.images import (
     Picture,
@@ -56,7 +56,7 @@ class OverlayNode(ListenerNode[OverlaySettings]):
         self._answers = Answers(registration)
         self._camera_info: CameraInfo | None = None
         self._camera: tuple[CameraInfo, bool, Camera] | None = None
-        self._buffer, self._buffers = ImageBuffer(), Buffers()
+        self._buffer, self._painter = ImageBuffer(), Painter(Buffers())
         self._image = self.create_publisher(Image, "~/image", ANSWER_QOS)
         self._compressed = self.create_publisher(CompressedImage, "~/image/compressed", ANSWER_QOS)
         self._worker: LatestWorker[Any] = LatestWorker(
@@ -126,7 +126,7 @@ class OverlayNode(ListenerNode[OverlaySettings]):
             except InvalidInputError as error:
                 head, reason = "NO CAMERA", str(error)
             else:
-                paint(
+                self._painter.paint(
                     canvas,
                     camera,
                     view.structures,
@@ -135,7 +135,6 @@ class OverlayNode(ListenerNode[OverlaySettings]):
                     margin_m=1e-3 * settings.margin_mm,
                     names=settings.names,
                     names_below=banner_rows(canvas, reason) if head else 0,
-                    buffers=self._buffers,
                 )
         if head:
             colour = _AMBER if head == "DEGRADED" else _RED
