@@ -128,6 +128,8 @@ def _normal_equations(
     flat = direct.reshape(3 * count, width)
     weighted = normal @ direct.reshape(count, 3 * width)
     outer = flat.T @ weighted.reshape(3 * count, width)
+    if not columns.shape[1]:
+        return outer, flat.T @ right.reshape(-1)
     # What a field moves along one axis tells nothing of another one.
     axes = torch.eye(3, dtype=columns.dtype, device=columns.device)
     alone = torch.kron(columns.T @ (normal @ columns), axes)

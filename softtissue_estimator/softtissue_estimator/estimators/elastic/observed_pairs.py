@@ -9,13 +9,19 @@ evidence tells how large each of the three is (`smooth_error`).
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
-from softtissue_estimator.estimators.elastic.linear_gaussian import Errors, condition, mean_displacement
+from softtissue_estimator.estimators.elastic.linear_gaussian import (
+    LEAST_FIELD_SIGMA_M,
+    Errors,
+    condition,
+    mean_displacement,
+)
 from softtissue_estimator.estimators.elastic.model import ElasticModel
 from softtissue_estimator.estimators.elastic.observed import Conditioned, Explained, Observed
 from softtissue_estimator.estimators.elastic.observed_nodes import ObservedPlaces
@@ -50,8 +56,6 @@ class PairsObservation:
     nodes_at_rest : (n, 3) float64 m
     places : ObservedPlaces
         Of the patches.
-    field : (s, m) float64
-        Displacement of the nodes observed by each independent part of a smooth field.
     most_fields : (3,) float64 m^2
         Variance of the sensor's error along its ray, of each component along any axis, and of the slide, at most.
     """
@@ -74,10 +78,14 @@ class PairsObservation:
         self._surface = model.moved_surface
         self._material = self._surface.followed(patches.reference)
         self.places = ObservedPlaces(self._material.interpolation(len(model.nodes)), model.device)
-        self.field = field_columns(model.nodes.index_select(0, self.places.nodes), patches.reference)
         most = sensor_bias_m, sensor_bias_m, match_slide_m / math.sqrt(2.0)
         self.first_fields_m = tuple(min(FIRST_SIGMA_M, one) for one in most)
-        self.most_fields = self.field.new_tensor(most).square()
+        self.most_fields = model.nodes.new_tensor(most).square()
+
+    @cached_property
+    def field(self) -> Tensor:
+        """Displacement of the nodes observed by each independent part of a smooth field, (s, m) float64."""
+        return field_columns(self.nodes_at_rest.index_select(0, self.places.nodes), self.patches.reference)
 
     def about(self, mean: Tensor, registration: RegistrationError, reach_m: float) -> ObservedPairs:
         """Return the pairs, which may be wrong along the surface as the organ is estimated now."""
@@ -108,9 +116,13 @@ class ObservedPairs:
         self.counts = np.ones(len(patches.precision))
         self.equations = 3 * len(patches.precision)
         # A camera sees the side that faces it. An organ that is seen from all sides has no ray: any will do.
-        self._ray = torch.from_numpy(unit_rows(normals.mean(axis=0)[None])[0]).to(whole.field.device)
-        at_nodes = torch.from_numpy(unit_rows(self._places.collected(normals))).to(whole.field.device)
-        self._slide = along_surface(whole.field, self._ray, at_nodes)
+        self._ray = torch.from_numpy(unit_rows(normals.mean(axis=0)[None])[0]).to(whole.nodes_at_rest.device)
+        self._normals = normals
+
+    @cached_property
+    def _slide(self) -> Tensor:
+        at_nodes = torch.from_numpy(unit_rows(self._places.collected(self._normals))).to(self._ray.device)
+        return along_surface(self._whole.field, self._ray, at_nodes)
 
     @property
     def reference(self) -> FloatArray:
@@ -141,7 +153,12 @@ class ObservedPairs:
         whole = self._whole.most_fields
         most = whole if most_fields is None else whole.minimum(most_fields)
         nuisance = registration.columns(positions)
-        errors = Errors(self._whole.field, nuisance, self._ray, self._slide, most)
+        if bool((variances.fields.maximum(most) <= LEAST_FIELD_SIGMA_M**2).all()):
+            # Of a stream that errs in nothing: most of the time of a frame would go into fields that say nothing.
+            none = nuisance.new_zeros(len(nuisance), 3, 0)
+            errors = Errors(none[:, 0], nuisance, self._ray, none, most)
+        else:
+            errors = Errors(self._whole.field, nuisance, self._ray, self._slide, most)
         observed = self._places.sum_up(displacement, precision)
         amplitudes, evidence = condition(tangent, observed, errors, variances, updates)
         evidence += 1.5 * float(np.log(precision).sum()) + log_prior(amplitudes.prior.fields, whole)

@@ -242,6 +242,8 @@ def _reestimated(
     loads[kept] = (part.loads * fixed_point).sqrt()
     fields = variances.fields.clone()
     for number, values in enumerate(_slices(field_values)):
+        if not field_values[number]:
+            continue
         share = (1.0 - remaining[values].mean()).clamp_min(_LEAST_DETERMINED_SHARE)
         fields[number] = (fields[number] * mean[values].square().mean() / share).sqrt()
     return Variances(loads, fields), float(right @ mean)
