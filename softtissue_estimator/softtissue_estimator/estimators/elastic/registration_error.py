@@ -80,13 +80,11 @@ class RegistrationError:
         return replace(self, root=factor * self.root, scales=tuple(scale / factor for scale in self.scales))
 
     @property
-    def sizes(self) -> tuple[RegistrationError, ...]:
-        """Distributions of which one may be its own: of all sizes, and of the largest shift without a turn."""
-        found = [self.scaled(scale) for scale in self.scales]
-        if len(found) > 1:
-            turn = np.diag([1.0] * 3 + [min(self.scales) / max(self.scales)] * 3)
-            found.append(replace(found[-1], root=turn @ found[-1].root))
-        return tuple(found)
+    def shifted(self) -> RegistrationError:
+        """The largest of these errors, but without a turn to speak of."""
+        largest = self.scaled(self.scales[-1])
+        turn = np.diag([1.0] * 3 + [self.scales[0] / self.scales[-1]] * 3)
+        return replace(largest, root=turn @ largest.root)
 
     def widened(self, by: RegistrationError) -> RegistrationError:
         """Return the distribution of the sum of this error and one more, whose covariance is that of `by`."""

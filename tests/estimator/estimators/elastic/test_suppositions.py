@@ -139,7 +139,10 @@ def test_an_organ_that_is_held_by_less_than_was_told_is_not_taken_for_a_wrong_re
     pairs = PairsObservation(patches, other, CONFIG.sensor_bias_m, CONFIG.match_slide_m)
     solver = Solver(other, pairs, motion, other.registration, CONFIG.prior_sigma_m, CONFIG.model_sigma_m)
     found = solve(solver)
-    held = likeliest(solver, [registration_explained(solver, each) for each in solver.registration.sizes])
+    expected = solver.registration
+    held = likeliest(
+        solver, [registration_explained(solver, expected.scaled(scale)) for scale in expected.scales]
+    )
     errors = [np.linalg.norm(each.mean.numpy() - truth, axis=1).mean() for each in (found, held)]
     assert found.attachment_moves and errors[0] < 0.002 < 0.008 < errors[1]
     assert np.linalg.norm(found.registration_after.correction.translation) < 0.0005
