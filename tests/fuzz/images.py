@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from fuzz.damage import damaged_bytes, how_often
-from fuzz.kind import FailedError, Kind, MissingError, check_sentence, expect
+from fuzz.damage import damaged_bytes
+from fuzz.kind import MissingError, expect
+from fuzz.whole_node import WholeNode
 
 try:
     import cv2
-    import rclpy
     from geometry_msgs.msg import PoseWithCovarianceStamped
-    from rclpy.signals import SignalHandlerOptions
     from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
     from softtissue_msgs.msg import EstimatorStatus, Structures
 
@@ -23,13 +22,9 @@ try:
         UNSIGNED,
         changed,
         changed_header,
-        deserialised,
-        serialised,
     )
     from fuzz.node_inside import Kept
-    from integration.harness import write_organ
     from integration.scene import CAMERA_FROM_ORGAN, cloud_message, pose_message, stamp_message
-    from softtissue_estimator.organ.organ import load_organ
     from softtissue_estimator.ros.outputs.structures import structures_message
     from softtissue_estimator.ros.overlay.overlay_node import OverlayNode
     from softtissue_estimator.support.sentences import one_sentence
@@ -50,22 +45,17 @@ _ENCODINGS = (
 _MODELS = ("plumb_bob", "rational_polynomial", "equidistant", "", "thin_prism", "a\nb", "x" * 5000)
 
 
-class Images(Kind):
+class Images(WholeNode):
     """Images, files of images, cameras, and what the estimator says, in an overlay."""
 
     name = "images"
     share = 3
+    kinds = _KINDS
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(folder)
         if MISSING:
             raise MissingError(MISSING)
-        self._organ = load_organ(write_organ(folder / "organ"))
-        self._fatal: list[BaseException] = []
-        rclpy.init(
-            args=["--ros-args", "--log-level", "fatal"], signal_handler_options=SignalHandlerOptions.NO
-        )
-        self._node = _WatchedOverlay(self._fatal.append)
+        super().__init__(folder, _WatchedOverlay, [])
         # Two topics are called registration: the one that is given, and the answers'.
         self._subscriptions = {
             s.topic_name.rpartition("/")[2]: s
@@ -74,28 +64,21 @@ class Images(Kind):
         }
         self._first = self._drawn_well()
 
-    def make(self, rng: random.Random) -> tuple[str, bytes]:
-        kind = rng.choice(_KINDS)
-        message = self._good(kind)
-        for _ in range(how_often(rng)):
-            change(rng, message)
-        (content,) = serialised(rng, [message])
-        return f"{kind}.cdr", content
+    def good(self, kind: str) -> Any:
+        return good_message(kind, self._organ)
 
-    def run(self, name: str, content: bytes) -> str:
-        kind = name.removesuffix(".cdr")
-        messages = deserialised([content], [type(self._good(kind))])
-        if messages is None:
-            return "no message"
-        faults = self._node.boundary.faults
+    def change(self, rng: random.Random, message: Any) -> None:
+        change(rng, message)
+
+    def give(self, kind: str, message: Any) -> tuple[str, list[str]]:
+        """Give a message to the overlay, and draw if it is no image itself."""
         self._node.forget()
-        outcome = self._give(kind, messages[0])
-        for sentence in self._node.said:
-            check_sentence(sentence)
-        expect(not self._fatal, f"the overlay wants to end: {self._fatal}")
-        if self._node.boundary.faults != faults:
-            raise FailedError(f"something else than a SoftTissueError was raised: {self._node.said}")
-        return outcome
+        image = message
+        if kind in SAID:
+            self._subscriptions[kind].callback(message)
+            image = self.good("image")
+        self._node.draw(image)
+        return "drawn" if self._node.images else "refused", []
 
     def check_good(self) -> None:
         expect(
@@ -103,32 +86,15 @@ class Images(Kind):
             "a good image is drawn on otherwise than at first",
         )
 
-    def close(self) -> None:
-        self._node.close(2.0)
-        self._node.destroy_node()
-        rclpy.try_shutdown()
-
-    def _give(self, kind: str, message: Any) -> str:
-        """Give a message to the overlay, and draw if it is no image itself; return in a word what became of it."""
-        image = message
-        if kind in SAID:
-            self._subscriptions[kind].callback(message)
-            image = self._good("image")
-        self._node.draw(image)
-        return "drawn" if self._node.images else "refused"
-
     def _drawn_well(self) -> np.ndarray:
         for kind in SAID:
-            self._subscriptions[kind].callback(self._good(kind))
+            self._subscriptions[kind].callback(self.good(kind))
         self._node.forget()
-        self._node.draw(self._good("image"))
+        self._node.draw(self.good("image"))
         expect(len(self._node.images) == 1, f"a good image is not drawn on: {self._node.said}")
         drawn = np.frombuffer(bytes(self._node.images[0].data), dtype=np.uint8)
         expect(bool((drawn != _plain().ravel()).any()), "nothing is drawn on a good image")
         return drawn
-
-    def _good(self, kind: str) -> Any:
-        return good_message(kind, self._organ)
 
 
 def good_message(kind: str, organ: Any) -> Any:

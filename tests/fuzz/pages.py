@@ -8,22 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from fuzz.damage import how_often
 from fuzz.images import SAID, change, good_message
-from fuzz.kind import FailedError, Kind, MissingError, check_sentence, expect
+from fuzz.kind import MissingError, expect
+from fuzz.whole_node import WholeNode
 
 try:
-    import rclpy
     import viser  # noqa: F401
     from geometry_msgs.msg import Point
-    from rclpy.signals import SignalHandlerOptions
     from softtissue_msgs.msg import Distances
 
     from fuzz.images import MISSING
-    from fuzz.message_damage import FLOATS, FRAMES, changed_header, deserialised, serialised
-    from integration.harness import write_organ
+    from fuzz.message_damage import FLOATS, FRAMES, changed_header
     from integration.scene import cloud_message
-    from softtissue_estimator.organ.organ import load_organ
     from softtissue_estimator.ros.inputs.conversions import make_cloud
     from softtissue_estimator.ros.viewer.viewer_node import ViewerNode
     from softtissue_estimator.support.sentences import one_sentence
@@ -37,70 +33,48 @@ _KINDS = (*SAID, *_CLOUDS * 2, *_PICTURES, "tool_distances", "tool_distances")
 _POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("used", "u1")])
 
 
-class Pages(Kind):
+class Pages(WholeNode):
     """What a viewer hears, and the page that it shows after each message."""
 
     name = "pages"
     share = 3
+    kinds = _KINDS
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(folder)
         if MISSING:
             raise MissingError(MISSING)
-        self._organ = load_organ(write_organ(folder / "organ"))
-        self._fatal: list[BaseException] = []
-        arguments = ["--ros-args", "--log-level", "fatal", "-p", "port:=0", "-p", "image_transport:=raw"]
         # What is recorded of the messages would count as memory of the one at work.
-        arguments += ["-p", "recording_mb:=1"]
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = _WatchedViewer(self._fatal.append)
+        arguments = ["-p", "port:=0", "-p", "image_transport:=raw", "-p", "recording_mb:=1"]
+        super().__init__(folder, _WatchedViewer, arguments)
         self._subscriptions = {s.topic_name.rpartition("/")[2]: s for s in self._node.subscriptions}
         self._first = self._shown_well()
 
-    def make(self, rng: random.Random) -> tuple[str, bytes]:
-        kind = rng.choice(_KINDS)
-        message = self._good(kind)
-        for _ in range(how_often(rng)):
-            _change(rng, message)
-        (content,) = serialised(rng, [message])
-        return f"{kind}.cdr", content
+    def change(self, rng: random.Random, message: Any) -> None:
+        if isinstance(message, Distances):
+            _distances(rng, message)
+        else:
+            change(rng, message)
 
-    def run(self, name: str, content: bytes) -> str:
-        kind = name.removesuffix(".cdr")
-        messages = deserialised([content], [type(self._good(kind))])
-        if messages is None:
-            return "no message"
-        faults = self._node.boundary.faults
+    def give(self, kind: str, message: Any) -> tuple[str, list[str]]:
         # Of an organ everything else is said; what ends it comes first, the other one last.
         if kind == "structures":
             self._node.said.clear()
-            self._tell(kind, messages[0])
+            self._tell(kind, message)
             self._tell_all_but(kind)
         else:
             self._tell_all_but(kind)
             self._node.said.clear()
-            self._tell(kind, messages[0])
+            self._tell(kind, message)
         view = self._node.show()
-        for sentence in (*self._node.said, *filter(None, _words(view))):
-            check_sentence(sentence)
-        expect(not self._fatal, f"the viewer wants to end: {self._fatal}")
-        if self._node.boundary.faults != faults:
-            raise FailedError(f"something else than a SoftTissueError was raised: {self._node.said}")
-        if self._node.said:
-            return "refused"
-        if view.moment is not None:
+        if view.moment is not None and not self._node.said:
             _check(view.moment)
-        return "shown" if view.moment is not None else "not shown"
+        outcome = "shown" if view.moment is not None else "not shown"
+        return "refused" if self._node.said else outcome, _words(view)
 
     def check_good(self) -> None:
         expect(
             np.array_equal(self._shown_well(), self._first), "a good answer is shown otherwise than at first"
         )
-
-    def close(self) -> None:
-        self._node.close(2.0)
-        self._node.destroy_node()
-        rclpy.try_shutdown()
 
     def _tell(self, kind: str, message: Any) -> None:
         self._node.forget_time()
@@ -109,7 +83,7 @@ class Pages(Kind):
     def _tell_all_but(self, kind: str) -> None:
         for other in (*SAID, *_CLOUDS, *_PICTURES, "tool_distances"):
             if other != kind:
-                self._tell(other, self._good(other))
+                self._tell(other, self.good(other))
 
     def _shown_well(self) -> np.ndarray:
         self._tell_all_but("")
@@ -121,8 +95,7 @@ class Pages(Kind):
         _check(view.moment)
         return np.concatenate([view.moment.points, view.moment.surface, view.moment.observed])
 
-    def _good(self, kind: str) -> Any:
-        """Return a message of a kind as it should be."""
+    def good(self, kind: str) -> Any:
         organ = self._organ
         if kind == "surface_points":
             return cloud_message(organ.surface.vertices, ["x", "y", "z"], _STAMP, "camera")
@@ -164,13 +137,6 @@ def _check(moment: Any) -> None:
     expect(all(bool(np.isfinite(array).all()) for array in arrays), "positions that are not finite are drawn")
     expect(len(moment.left_out) == len(moment.observed), "not a word of each observed point")
     expect(moment.camera is None or bool(np.isfinite(moment.camera).all()), "a camera nowhere")
-
-
-def _change(rng: random.Random, message: Any) -> None:
-    if isinstance(message, Distances):
-        _distances(rng, message)
-    else:
-        change(rng, message)
 
 
 def _distances(rng: random.Random, told: Any) -> None:

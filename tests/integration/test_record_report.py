@@ -80,6 +80,16 @@ def organ(tmp_path_factory):
     return write_organ(tmp_path_factory.mktemp("organ"), coarse=True)
 
 
+def played(domain, tmp_path, bag):
+    """Play a bag; the answers that are heard, and what the player says."""
+    heard = ["--wait-for", f"{NODE}/deformed_points", "--rate", "5"]
+    player = NodeProcess(domain, tmp_path / "record", {}, [executable("replay"), bag, *heard])
+    with Client(domain) as client, player as replay:
+        client.wait(lambda: len(client.answers) == CLOUDS, "replayed answers", 60.0)
+        assert replay.wait(60.0) == 0, replay.text
+        return client.answers, replay.text
+
+
 @pytest.mark.timeout(240)
 def test_what_a_node_answers_is_recorded_reported_and_replayed(organ, tmp_path, domain):
     scene, bag = Scene(organ), tmp_path / "bag"
@@ -129,14 +139,9 @@ def test_what_a_node_answers_is_recorded_reported_and_replayed(organ, tmp_path, 
     assert "script" not in page.tags and "://" not in text
 
     # The recording plays like any other one.
-    with Client(domain) as client:
-        heard = ["--wait-for", f"{NODE}/deformed_points", "--rate", "5"]
-        played = NodeProcess(domain, tmp_path / "record", {}, [executable("replay"), bag, *heard])
-        with played as replay:
-            client.wait(lambda: len(client.answers) == CLOUDS, "replayed answers", 60.0)
-            assert replay.wait(60.0) == 0, replay.text
-    assert [bytes(answer.data) for answer in client.answers] == answers
-    assert [nanoseconds(answer.header.stamp) for answer in client.answers] == stamps
+    replayed, _ = played(domain, tmp_path, bag)
+    assert [bytes(answer.data) for answer in replayed] == answers
+    assert [nanoseconds(answer.header.stamp) for answer in replayed] == stamps
 
 
 def publishing(domain):
@@ -237,12 +242,7 @@ def test_recording_whose_process_is_killed_is_reported_and_replayed(organ, tmp_p
     assert Tables(text).rows["frames"][1] == [str(CLOUDS), str(CLOUDS), "0", "0", "0", "0"]
     assert "expected a recording that ended in order, got one that was cut off" in text
 
-    with Client(domain) as client:
-        heard = ["--wait-for", f"{NODE}/deformed_points", "--rate", "5"]
-        played = NodeProcess(domain, tmp_path / "record", {}, [executable("replay"), bag, *heard])
-        with played as replay:
-            client.wait(lambda: len(client.answers) == CLOUDS, "replayed answers", 60.0)
-            assert replay.wait(60.0) == 0, replay.text
-            assert "cut off" in replay.text
-    assert [nanoseconds(answer.header.stamp) for answer in client.answers] == stamps
+    replayed, said = played(domain, tmp_path, bag)
+    assert "cut off" in said
+    assert [nanoseconds(answer.header.stamp) for answer in replayed] == stamps
     assert {path: path.read_bytes() for path in bag.iterdir()} == before

@@ -1,7 +1,7 @@
 """One more step about an answered observation, with all loads: what the tracker's thread does between frames."""
 
 from concurrent.futures import CancelledError
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from threading import Event
 
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
@@ -137,14 +137,14 @@ def _explained(task: Task, scale: float) -> Posterior:
 
 def _step(task: Task) -> Posterior:
     task.go_on()
-    better = replace(_improved(task, task.ratio), rival_variance=task.posterior.rival_variance)
+    better = _improved(task, task.ratio)
     if task.doubts:
         constant = task.number <= CATCHING_UP_STEPS
         better = revised(task.solver, better, task.registration, constant=constant)
     if task.ratio_step and better.ratio + task.ratio_step in task.solver.ratios:
         other = _improved(task, better.ratio + task.ratio_step)
         if other.log_evidence > better.log_evidence + LEAST_LOG_EVIDENCE_GAIN:
-            better = replace(other, rival_variance=better.rival_variance)
+            better = other
     return better
 
 

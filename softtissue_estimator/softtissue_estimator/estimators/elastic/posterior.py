@@ -43,7 +43,8 @@ class Posterior:
     hidden_variance : (n,) float64 m^2 or None
         Of the nodes, by loads that this posterior leaves out; None where it has all loads.
     rival_variance : (n,) float64 m^2 or None
-        Of the nodes' components about the mean, by what else may be supposed; None where nothing else may.
+        Of the nodes' components about the mean, by what else may be supposed; None where nothing else may. It stays
+        what it is in further steps, until others are supposed.
     plausible : bool
         Whether it does to no element what no tissue endures.
     innovation : float

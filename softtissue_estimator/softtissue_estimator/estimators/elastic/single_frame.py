@@ -22,13 +22,12 @@ LEAST_GAIN_OF_SHIFT = 2.0
 def solve(solver: Solver) -> Posterior:
     """Return the posterior of what a solver observes, with the likeliest registration, attachment and ratio."""
     solver, posterior = _likeliest(solver)
-    rivals = posterior.rival_variance
     posterior = settled(solver, posterior)
     for _ in range(MOST_RATIO_CHANGES):
         before, posterior = posterior.ratio, _improve_by_choice(solver, posterior)
         if posterior.ratio == before:
             break
-    return replace(posterior, rival_variance=rivals)
+    return posterior
 
 
 def _likeliest(solver: Solver) -> tuple[Solver, Posterior]:

@@ -252,13 +252,14 @@ class Solver:
         else:
             least = LEAST_START_SHARE * self.prior.variances(tangent, observed.nodes)
             begin = variances.going_on(self._first_fields).at_least_each(least)
-        return self._plausible(
+        better = self._plausible(
             lambda sigma: self._explain(
                 observed, tangent, registration, begin, sigma, weight, VARIANCE_UPDATES, ratio
             ),
             self._misfit.model_sigma(self._misfit.unexplained(observed, residual, weight)),
             observed,
         )
+        return replace(better, rival_variance=posterior.rival_variance)
 
     def deviation(self, posterior: Posterior) -> FloatArray:
         """Return the standard deviation of each component at the nodes, (n,) m."""

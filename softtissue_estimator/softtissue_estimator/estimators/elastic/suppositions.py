@@ -21,8 +21,8 @@ LEAST_GAIN_OF_MOVING = 6.0
 """Which gain over an attachment that stays where it is shows that it moves. Of twelve moving organs of a training
 seed exact streams and those with a registration that is 5 degrees and 10 mm off gain 4.1 at most, of eight tries
 each; what is attached elsewhere gains 14 to 160, but for one organ of six that only seems to drift. Of twenty organs
-seen once, in six ways each, those that were told right gain 2.8 at most, ten that are said to be held by 30 % more 7 to
-34."""
+seen once, in six ways each, those that were told right gain 2.8 at most, twelve that are said to be held by 30 % more 7
+to 34."""
 LEAST_GAIN_OF_DRIFT_INSTEAD = 12.0
 """Which gain over an attachment that was seen to move shows that it was the registration. Of six moving organs that are
 held elsewhere than was told one gains 3.5."""
@@ -40,11 +40,19 @@ class Supposition:
         Whether what holds the organ moves.
     least_gain : float
         Of the log-evidence over what was supposed until now, with which it is believed.
+    drifted : bool
+        Whether the registration has moved since it was learnt.
     """
 
     registration: RegistrationError
     attachment_moves: bool
     least_gain: float = 0.0
+    drifted: bool = False
+
+    @property
+    def cost(self) -> float:
+        """Log-evidence that it must have over one in which nothing is wrong, to be as likely."""
+        return LEAST_GAIN * self.drifted + LEAST_GAIN_OF_MOVING * self.attachment_moves
 
 
 def revised(
@@ -64,11 +72,14 @@ def revised(
     """
     known, moves = posterior.registration, posterior.attachment_moves
     wider = known.widened(registration.expected.scaled(DRIFT_SHARE))
-    suppositions = [Supposition(known, moves), Supposition(wider, moves, LEAST_GAIN)]
+    suppositions = [
+        Supposition(known, moves, drifted=registration.moved),
+        Supposition(wider, moves, LEAST_GAIN, drifted=True),
+    ]
     if moves:
         suppositions += [
-            Supposition(known, False, LEAST_GAIN),
-            Supposition(wider, False, LEAST_GAIN_OF_DRIFT_INSTEAD),
+            Supposition(known, False, LEAST_GAIN, drifted=registration.moved),
+            Supposition(wider, False, LEAST_GAIN_OF_DRIFT_INSTEAD, drifted=True),
         ]
     elif solver.held:
         # The registration may have been thought to move for the same reason.
@@ -78,8 +89,9 @@ def revised(
     number = decided([each.log_evidence for each in found], [each.least_gain for each in suppositions])
     if constant and suppositions[number].registration is wider:
         return posterior
-    drifted = [registration.moved or each.registration is wider for each in suppositions]
-    rivals = _rivals(suppositions, drifted, found, number)
+    worth = [each.log_evidence - one.cost for each, one in zip(found, suppositions, strict=True)]
+    means = [each.mean for each in found]
+    rivals = rival_variance(means[number], means, [each - worth[number] for each in worth])
     return replace(_supposing(solver, posterior, suppositions[number]), rival_variance=rivals)
 
 
@@ -114,18 +126,6 @@ def _explained(solver: Solver, posterior: Posterior, suppositions: list[Supposit
     few = _leading(solver, posterior)
     part = posterior.with_loads(few)
     return [solver.afresh(part, each.registration, each.attachment_moves, few) for each in suppositions]
-
-
-def _rivals(
-    suppositions: list[Supposition], drifted: list[bool], found: list[Posterior], number: int
-) -> Tensor:
-    """Return what all suppositions add to the variance of the nodes about the one that is believed, (n,) m^2."""
-    cost = [
-        LEAST_GAIN * drift + LEAST_GAIN_OF_MOVING * each.attachment_moves
-        for each, drift in zip(suppositions, drifted, strict=True)
-    ]
-    worth = np.subtract([each.log_evidence for each in found], cost)
-    return rival_variance(found[number].mean, [each.mean for each in found], list(worth - worth[number]))
 
 
 def _supposing(solver: Solver, posterior: Posterior, shown: Supposition) -> Posterior:

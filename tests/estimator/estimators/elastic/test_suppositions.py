@@ -11,6 +11,7 @@ from threadpoolctl import ThreadpoolController
 from estimator.shapes import ellipsoid, organ_of
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
+from softtissue_estimator.estimators.elastic.linear_gaussian import LEAST_FIELD_SIGMA_M
 from softtissue_estimator.estimators.elastic.observed_pairs import PairsObservation
 from softtissue_estimator.estimators.elastic.posterior import rival_variance
 from softtissue_estimator.estimators.elastic.registration_error import expected_error, told_error
@@ -184,6 +185,23 @@ def test_a_frame_goes_on_with_the_rivals_of_the_one_before(model):
     followed = solver.follow(solver.warm_start(doubted), posterior.mean)
     np.testing.assert_array_equal(followed.rival_variance, doubted.rival_variance)
     assert solver.deviation(followed).min() > 0.002
+    assert solver.improve(doubted, guarded=True).rival_variance is doubted.rival_variance
+
+
+def test_a_frame_leaves_fields_of_errors_out_only_where_none_of_them_is_told(model):
+    solver, posterior = explained(model, NONE)
+    start = solver.warm_start(posterior)
+    none = torch.full_like(start.variances.fields, LEAST_FIELD_SIGMA_M**2)
+
+    def followed(fields):
+        known = replace(start, variances=replace(start.variances, fields=fields))
+        return solver.follow(known, posterior.mean)
+
+    without, barely = followed(none), followed(1.01 * none)
+    assert sum(without.amplitudes.field_values) == 0 < sum(barely.amplitudes.field_values)
+    np.testing.assert_allclose(without.mean, barely.mean, atol=0.0002)
+    # One that the thread was told of is considered.
+    assert sum(followed(torch.maximum(none, none.new_tensor([0.0, 0.0, 1e-6]))).amplitudes.field_values)
 
 
 def test_an_organ_that_is_held_elsewhere_than_was_told_is_found_out_by_a_frame_alone(model):

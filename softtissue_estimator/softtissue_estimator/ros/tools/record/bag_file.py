@@ -2,7 +2,7 @@
 
 import contextlib
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -83,10 +83,8 @@ class BagFile:
         InvalidInputError
             If the disk takes no more.
         """
-        try:
+        with self._on_disk():
             self._writer.write(connection, time_ns, data)
-        except OSError as error:
-            raise self._unwritable(error) from error
         self.count += 1
 
     def flush(self) -> None:
@@ -100,12 +98,10 @@ class BagFile:
         if self._closed:
             return
         storage = cast(McapWriter, self._writer.storage)
-        try:
+        with self._on_disk():
             if storage.chunk.msgs:
                 storage.close_chunk()
             storage.bio.flush()
-        except OSError as error:
-            raise self._unwritable(error) from error
 
     def check_space(self) -> None:
         """Look for room on the disk while there is enough left to end in order.
@@ -115,10 +111,8 @@ class BagFile:
         InvalidInputError
             If there is less than `SPARE_BYTES`.
         """
-        try:
+        with self._on_disk():
             free = shutil.disk_usage(self._folder).free
-        except OSError as error:
-            raise self._unwritable(error) from error
         if free < SPARE_BYTES:
             raise InvalidInputError(
                 f"bag {self._folder}: expected {SPARE_BYTES >> 20} MiB of free disk, got {free >> 20};"
@@ -144,6 +138,13 @@ class BagFile:
             raise self._unwritable(error) from error
         if self.count == 0:
             shutil.rmtree(self._folder, ignore_errors=True)
+
+    @contextlib.contextmanager
+    def _on_disk(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise self._unwritable(error) from error
 
     def _unwritable(self, error: Exception) -> InvalidInputError:
         why = getattr(error, "strerror", None) or str(error)
