@@ -1,8 +1,8 @@
 """The rigid pose of an organ in a bare cloud: without a start, with one, or with landmarks.
 
 The pose is that of the undeformed organ which fits the organ as it is now; `FoundPose.covariance` also says how far a
-soft organ turns about what holds it. Smooth organs have views that several poses explain: whether there is a second one
-is searched for, around the best pose and among all others that were found.
+soft organ turns about what holds it. Smooth organs have views that several poses explain: the pose that is returned is
+the one that most of the posterior is near, and ambiguous if too much of it is elsewhere.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_estimator.registration.landmark_pose import landmark_prior
 from softtissue_estimator.registration.oriented_cloud import OrientedCloud
+from softtissue_estimator.registration.pose_posterior import PosePosterior, sample_poses
 from softtissue_estimator.registration.pose_score import CLEARLY_DIFFERENT_M, INDEPENDENT_SHARE, PoseScore
 from softtissue_estimator.registration.pose_search import (
     RandomSteps,
@@ -27,6 +28,7 @@ from softtissue_estimator.registration.pose_search import (
 )
 from softtissue_estimator.registration.pose_surface import PoseSurface
 from softtissue_estimator.registration.poses import PosePrior, Poses, distinct
+from softtissue_estimator.registration.smooth_bending import PoseEvidence, SmoothBending
 
 FloatArray = NDArray[np.float64]
 _Scored = tuple[Poses, FloatArray]
@@ -34,14 +36,16 @@ _Scored = tuple[Poses, FloatArray]
 DEFAULT_START_SIGMAS = (0.020, 0.26)
 """Standard deviations of a start that states none: m of a translation and rad of a rotation, each component."""
 
-LEAST_MARGIN = 1.2
-"""Of a pose that is not ambiguous; of the logarithm of a likelihood."""
+LEAST_MARGIN = 2.7
+"""Of a pose that is not ambiguous: the logarithm of the odds."""
 LEAST_BLIND_MARGIN = 4.0
 """The same where nobody says from where the cloud is seen: without outlines, wrong poses fit far better."""
 
 _ABOUT = 0.97
 _NEAR_REJECTED = 1.3  # of that distance: poses that explain a cloud lie as near to a rejected one as they may
-_SECONDS = 3  # poses that are tried to the end as the second one
+_MODES = 8  # about which the posterior is sampled,
+_MODES_APART_M = 0.010  # so far from each other, where the rough score
+_MOST_BEHIND = 60.0  # is that of the best one less so much, at most
 _LEAST_OVERLAP = 0.15
 _DRAWN_STARTS = 150
 _SAME_POSE_M = 0.012
@@ -54,8 +58,6 @@ _RIVAL_CHAINS, _RIVAL_ROUNDS = 8, 3
 # A soft organ turns about what holds it: of simulated livers that were moved by 10 mm on average, the best rigid
 # motion had these standard deviations, each component.
 _HELD_SIGMAS = np.array([0.0045] * 3 + [np.radians(5.5)] * 3)
-_COVARIANCE_STEPS, _COVARIANCE_TURNS = 200, 3
-_FIRST_SIGMAS = np.array([0.003] * 3 + [0.05] * 3)
 _LEAST_VARIANCES = np.array([0.001] * 3 + [0.01] * 3) ** 2
 _AWAY_M = 1.0
 
@@ -77,9 +79,9 @@ class FoundPose:
     ambiguous
         True if a clearly different pose explains the cloud almost as well, or nothing does, or only what was rejected.
     second
-        The best of the clearly different poses, however well it explains the cloud; None where there is none.
+        The likeliest of the clearly different poses, however unlikely; None where there is none.
     margin
-        Logarithm of how much likelier the cloud is under `motion` than under `second`; infinite without one.
+        Logarithm of the odds that the organ is near `motion` (`pose_posterior.WITHIN_M`); at most about 6.7.
     message
         What was found, in a sentence.
     """
@@ -105,6 +107,7 @@ class PoseFinder:
 
     def __init__(self, surface: SurfaceMesh) -> None:
         self._surface = PoseSurface(surface)
+        self._bending = SmoothBending(self._surface)
 
     def find(
         self,
@@ -143,13 +146,17 @@ class PoseFinder:
         rng = np.random.default_rng(0)
         scores = [PoseScore(self._surface, cloud, prior, rejected) for cloud in _clouds(points, camera)]
         found = [self._search(score, rng) for score in scores]
-        best = int(np.argmax([values[0] for _, values in found]))
-        pose, value, others = self._best(scores[best], *found[best], rng)
-        for side, (poses, values) in enumerate(found):
-            if side != best:
-                others.append((poses, values))
+        best = int(np.argmax([values.max() for _, values in found]))
+        found[best] = self._with_rivals(scores[best], *found[best], rng)
         least = LEAST_BLIND_MARGIN if camera is None and prior is None else LEAST_MARGIN
-        return self._described(scores[best], pose, value, others, least, rng)
+        poses = found[0][0]
+        for more, _ in found[1:]:
+            poses = poses.and_also(more)
+        values = np.concatenate([each for _, each in found])
+        order = np.argsort(-values, kind="stable")
+        poses, values = poses[order], values[order]
+        posterior = self._posterior(scores, poses, values, rng)
+        return self._described(scores[best], posterior, poses, least)
 
     def _search(self, score: PoseScore, rng: np.random.Generator) -> _Scored:
         """Return the best poses and their scores, the best first."""
@@ -168,33 +175,55 @@ class PoseFinder:
         order = np.argsort(-values, kind="stable")
         return poses[order], values[order]
 
-    def _best(
+    def _with_rivals(
         self, score: PoseScore, poses: Poses, values: FloatArray, rng: np.random.Generator
-    ) -> tuple[RigidMotion, float, list[_Scored]]:
-        """Return the best pose, its score, and all others: a rival that is better takes its place."""
+    ) -> _Scored:
+        """Add rivals of the best pose, and of the rival that is better."""
         pose, value = poses.motion(0), float(values[0])
         for _ in range(_RIVAL_ROUNDS):
             against = rivals(score, pose, CLEARLY_DIFFERENT_M, _RIVAL_STEPS, _RIVAL_CHAINS, rng)
             theirs = score(against)
+            poses, values = poses.and_also(against), np.concatenate([values, theirs])
             first = int(np.argmax(theirs))
             if theirs[first] <= value:
                 break
             better = improve(score, against[np.array([first])], _LAST_STEPS, rng)
             pose, value = better.motion(0), float(score(better)[0])
-        return pose, value, [(poses, values), (against, theirs)]
+            poses, values = poses.and_also(better), np.append(values, value)
+        return poses, values
+
+    def _posterior(
+        self, scores: list[PoseScore], poses: Poses, values: FloatArray, rng: np.random.Generator
+    ) -> PosePosterior:
+        """Sample the posterior about the best of some poses, by their scores (k,)."""
+        modes = distinct(poses, values, self._surface.few, _MODES_APART_M, _MODES)
+        modes = modes[values[modes] > values[modes[0]] - _MOST_BEHIND]
+
+        def rough(tried: Poses) -> FloatArray:
+            return np.asarray(INDEPENDENT_SHARE * np.max([score(tried, every=2) for score in scores], axis=0))
+
+        return sample_poses(rough, PoseEvidence(scores, self._bending), poses[modes], self._surface, rng)
+
+    def _second(self, posterior: PosePosterior, pose: RigidMotion, poses: Poses) -> RigidMotion | None:
+        """Return the likeliest of the clearly different poses; the first of others, where the posterior has none."""
+        # Rivals were searched for at this distance, and may lie a little nearer.
+        apart_m = _ABOUT * CLEARLY_DIFFERENT_M
+        likeliest = posterior.second(apart_m)
+        if likeliest is not None:
+            return posterior.poses.motion(likeliest)
+        few = self._surface.few
+        away = np.linalg.norm(poses.apply(few) - pose.apply(few), axis=2).mean(axis=1)
+        return poses.motion(int(np.argmax(away > apart_m))) if (away > apart_m).any() else None
 
     def _described(
         self,
         score: PoseScore,
-        pose: RigidMotion,
-        value: float,
-        others: list[_Scored],
+        posterior: PosePosterior,
+        poses: Poses,
         least_margin: float,
-        rng: np.random.Generator,
     ) -> FoundPose:
-        second, margin = self._second(score, pose, value, others, rng)
-        if second is not None and margin < 0.0:
-            pose, second, margin = second, pose, -margin
+        pose, covariance = posterior.around_chosen(self._surface.centre)
+        second, margin = self._second(posterior, pose, poses), posterior.log_odds
         fit = score.fit(Poses.of([pose]))
         weight, height = fit.weight[0], fit.height[0]
         overlap = float(weight.mean())
@@ -213,7 +242,7 @@ class PoseFinder:
             message = "the pose that explains the cloud best is nearly one that was rejected"
         return FoundPose(
             motion=pose,
-            covariance=_covariance(score, pose, rng),
+            covariance=covariance + np.diag(_LEAST_VARIANCES + _HELD_SIGMAS**2),
             rms_m=float(np.sqrt((weight * height**2).sum() / max(float(weight.sum()), 1e-12))),
             overlap=overlap,
             ambiguous=ambiguous or overlap < _LEAST_OVERLAP or near_wrong,
@@ -221,34 +250,6 @@ class PoseFinder:
             margin=margin,
             message=message,
         )
-
-    def _second(
-        self,
-        score: PoseScore,
-        pose: RigidMotion,
-        value: float,
-        others: list[_Scored],
-        rng: np.random.Generator,
-    ) -> tuple[RigidMotion | None, float]:
-        """Return the best of the clearly different poses and the margin over it."""
-        few = self._surface.few
-        poses = others[0][0]
-        for more, _ in others[1:]:
-            poses = poses.and_also(more)
-        values = np.concatenate([each for _, each in others])
-        away = np.linalg.norm(poses.apply(few) - pose.apply(few), axis=2).mean(axis=1)
-        # Rivals were searched for at this distance, and may lie a little nearer.
-        different = away > _ABOUT * CLEARLY_DIFFERENT_M
-        if not different.any():
-            return None, float("inf")
-        poses, values = poses[np.flatnonzero(different)], values[different]
-        kept = distinct(poses, values, few, _SAME_POSE_M, _SECONDS)
-        better = improve(score, poses[kept], _LAST_STEPS, rng)
-        still = np.linalg.norm(better.apply(few) - pose.apply(few), axis=2).mean(axis=1)
-        gained = np.where(still > _ABOUT * CLEARLY_DIFFERENT_M, score(better), -np.inf)
-        poses, values = poses.and_also(better), np.concatenate([values, gained])
-        best = int(np.argmax(values))
-        return poses.motion(best), INDEPENDENT_SHARE * float(value - values[best])
 
 
 def _clouds(points: FloatArray, camera: FloatArray | None) -> list[OrientedCloud]:
@@ -260,18 +261,3 @@ def _clouds(points: FloatArray, camera: FloatArray | None) -> list[OrientedCloud
     return [
         OrientedCloud(points, middle + side * _AWAY_M * across, sees_through=False) for side in (1.0, -1.0)
     ]
-
-
-def _covariance(score: PoseScore, pose: RigidMotion, rng: np.random.Generator) -> FloatArray:
-    """Covariance (6, 6) of the posterior, by weighted random steps, and of what holds the organ."""
-    origin, centre = Poses.of([pose]), score.surface.centre
-    covariance = np.diag(_FIRST_SIGMAS**2)
-    for _ in range(_COVARIANCE_TURNS):
-        steps = rng.multivariate_normal(np.zeros(6), covariance, _COVARIANCE_STEPS)
-        posterior = INDEPENDENT_SHARE * score(origin.moved(steps, centre), every=2)
-        proposed = -0.5 * np.einsum("ka,ka->k", steps, np.linalg.solve(covariance, steps.T).T)
-        weight = np.exp(posterior - proposed - (posterior - proposed).max())
-        weight /= weight.sum()
-        centred = steps - weight @ steps
-        covariance = (centred * weight[:, None]).T @ centred + np.diag(_LEAST_VARIANCES)
-    return np.asarray(covariance + np.diag(_HELD_SIGMAS**2))

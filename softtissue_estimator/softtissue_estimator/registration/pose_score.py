@@ -19,6 +19,7 @@ from softtissue_estimator.registration.pose_surface import PoseSurface
 from softtissue_estimator.registration.poses import PosePrior, Poses
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 CLEARLY_DIFFERENT_M = 0.015
 """Mean distance between the organ's points under two poses that are told apart."""
@@ -45,8 +46,12 @@ class Fit:
     ----------
     points, normals
         (k, n, 3) m and (k, n, 3): of the cloud, and of the surface nearest to them.
-    height
-        (k, n) m above the surface.
+    sample
+        (k, n) of the surface that is nearest.
+    height, aside
+        (k, n) m above the surface, and along it from what the sample stands for; far aside where nothing is near.
+    alike
+        (k, n) logarithm of how much likelier a point is on the organ by its normal alone, of densities a metre.
     gain
         (k, n) logarithm of how much likelier each point is than on something else.
     weight
@@ -55,7 +60,10 @@ class Fit:
 
     points: FloatArray
     normals: FloatArray
+    sample: IntArray
     height: FloatArray
+    aside: FloatArray
+    alike: FloatArray
     gain: FloatArray
     weight: FloatArray
 
@@ -84,13 +92,21 @@ class PoseScore:
             Use so few of the points and samples.
         """
         score = every * self.fit(poses, sigma_m, every).gain.sum(axis=1)
-        score -= self._contradiction(poses, every)
-        if self.prior is not None:
-            score += self.prior.log_density(poses, self.surface.centre) / INDEPENDENT_SHARE
+        return np.asarray(score - self.cost(poses, every) + self.log_prior(poses) / INDEPENDENT_SHARE)
+
+    def cost(self, poses: Poses, every: int = 1) -> FloatArray:
+        """Cost of what contradicts the cloud, and of rejected poses nearby, (k,)."""
+        cost = self._contradiction(poses, every)
         for wrong in self._rejected:
             away = np.linalg.norm(poses.apply(self.surface.few) - wrong, axis=2).mean(axis=1)
-            score -= TOO_NEAR * np.maximum(0.0, CLEARLY_DIFFERENT_M - away)
-        return np.asarray(score)
+            cost += TOO_NEAR * np.maximum(0.0, CLEARLY_DIFFERENT_M - away)
+        return cost
+
+    def log_prior(self, poses: Poses) -> FloatArray:
+        """Logarithm of the prior density of poses, (k,), up to a constant."""
+        if self.prior is None:
+            return np.zeros(len(poses))
+        return self.prior.log_density(poses, self.surface.centre)
 
     def is_rejected(self, pose: RigidMotion, within_m: float) -> bool:
         """Say whether a pose is so near to a rejected one, on average over the organ."""
@@ -107,12 +123,14 @@ class PoseScore:
         offset = points - surface.points[nearest]
         height = np.einsum("knd,knd->kn", offset, normals)
         along = np.sqrt(np.maximum(np.einsum("knd,knd->kn", offset, offset) - height**2, 0.0))
-        distance = np.where(inside, np.hypot(height, np.maximum(along - _ALONG_M, 0.0)), _FAR_M)
+        aside = np.where(inside, np.maximum(along - _ALONG_M, 0.0), _FAR_M)
         cosine = np.clip(np.einsum("knd,knd->kn", normals, turned), -1.0, 1.0)
-        density = np.exp(-0.5 * (distance / sigma_m) ** 2) / (sigma_m * np.sqrt(2.0 * np.pi))
-        alike = np.maximum(2.0 * np.exp((cosine - 1.0) / _NORMAL_SPREAD), _LEAST_NORMAL_RATIO)
-        ratio = (1.0 - _FOREIGN_SHARE) / _FOREIGN_SHARE * _FOREIGN_DEPTH_M * density * alike
-        return Fit(points, normals, height, np.log1p(ratio), ratio / (1.0 + ratio))
+        alike = np.log((1.0 - _FOREIGN_SHARE) / _FOREIGN_SHARE * _FOREIGN_DEPTH_M) + np.log(
+            np.maximum(2.0 * np.exp((cosine - 1.0) / _NORMAL_SPREAD), _LEAST_NORMAL_RATIO)
+        )
+        squared = (height**2 + aside**2) / sigma_m**2
+        ratio = np.exp(alike - 0.5 * squared) / (sigma_m * np.sqrt(2.0 * np.pi))
+        return Fit(points, normals, nearest, height, aside, alike, np.log1p(ratio), ratio / (1.0 + ratio))
 
     def _contradiction(self, poses: Poses, every: int) -> FloatArray:
         """Cost of the surface that would hide what is seen, (k,)."""

@@ -1,0 +1,119 @@
+"""How well a pose explains a bare cloud if the organ may also bend: a smooth field of displacements, integrated out.
+
+The organ is displaced from its rigid pose by an isotropic Gaussian process, of which a point of the cloud shows the
+component along the surface's normal. Its leading modes are computed once for an organ. For a pose, the field and which
+points are on the organ are inferred together by variational Bayes (Bishop 2006, chapter 10); the bound on the logarithm
+of the likelihood scores the pose. So a pose that needs much bending, or bending that is not smooth, pays for it, and
+the errors that neighbours share are counted once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+
+from softtissue_estimator.registration.pose_score import Fit, PoseScore
+from softtissue_estimator.registration.pose_surface import PoseSurface
+from softtissue_estimator.registration.poses import Poses
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+BENDING_M, LENGTH_M = 0.002, 0.040
+"""Standard deviation of a component of the field, and over what distance it changes."""
+SHARE = 0.2
+"""Of the logarithm of the likelihood, what is evidence: the labels of neighbours are not independent either."""
+_SIGMA_M = 0.0015  # of a point from the bent surface
+_PLACES, _MODES = 150, 40
+_TURNS = 3
+_MOST_LOGIT = 50.0
+_LEAST_WEIGHT = 1e-4  # at first; points that are less likely on the organ stay off it
+
+
+class SmoothBending:
+    """Leading modes of a smooth field on a surface, seen along the normals.
+
+    Parameters
+    ----------
+    surface
+        Of the organ.
+
+    Attributes
+    ----------
+    modes
+        (s, m) m at the surface's samples: a field is their sum, with amplitudes that are N(0, 1).
+    """
+
+    def __init__(self, surface: PoseSurface) -> None:
+        places = _spread(surface.points, _PLACES)
+        values, vectors = np.linalg.eigh(
+            _covariance(surface, places, places) + 1e-6 * BENDING_M**2 * np.eye(len(places))
+        )
+        half = _covariance(surface, np.arange(len(surface.points)), places) @ (vectors / np.sqrt(values))
+        left, size, _ = np.linalg.svd(half, full_matrices=False)
+        self.modes: FloatArray = left[:, :_MODES] * size[:_MODES]
+
+    def gain(self, fit: Fit) -> FloatArray:
+        """Bound the logarithm of how much likelier a cloud is under k poses than without the organ, (k,)."""
+        return np.array([self._gain(fit, pose) for pose in range(len(fit.height))])
+
+    def _gain(self, fit: Fit, pose: int) -> float:
+        near = np.flatnonzero(fit.weight[pose] > _LEAST_WEIGHT)
+        height, weight = fit.height[pose, near], fit.weight[pose, near]
+        modes = self.modes[fit.sample[pose, near]]
+        precision = 1.0 / _SIGMA_M**2
+        # Of a point that is exactly on the bent surface.
+        most = fit.alike[pose, near] - 0.5 * precision * fit.aside[pose, near] ** 2
+        most -= np.log(_SIGMA_M * np.sqrt(2.0 * np.pi))
+        for _ in range(_TURNS):
+            weighted = modes * (precision * weight)[:, None]
+            inverse = np.linalg.inv(np.eye(modes.shape[1]) + modes.T @ weighted)
+            mean = inverse @ (weighted.T @ height)
+            variance = ((modes @ inverse) * modes).sum(axis=1)
+            logit = most - 0.5 * precision * ((height - modes @ mean) ** 2 + variance)
+            weight = 1.0 / (1.0 + np.exp(-np.clip(logit, -_MOST_LOGIT, _MOST_LOGIT)))
+        # Of the amplitudes' posterior from their prior, in nats.
+        divergence = 0.5 * (np.trace(inverse) + mean @ mean - len(mean) - np.linalg.slogdet(inverse)[1])
+        return float(np.logaddexp(0.0, logit).sum() - divergence)
+
+
+class PoseEvidence:
+    """Logarithm of the posterior density of poses, up to a constant, for an organ that may bend.
+
+    Parameters
+    ----------
+    scores
+        One for each side that the cloud may be seen from.
+    """
+
+    def __init__(self, scores: Sequence[PoseScore], bending: SmoothBending) -> None:
+        self._scores, self._bending = scores, bending
+
+    def __call__(self, poses: Poses) -> FloatArray:
+        """Return it, (k,)."""
+        sides = [self._seen(score, poses) for score in self._scores]
+        return np.asarray(np.logaddexp.reduce(sides, axis=0))
+
+    def _seen(self, score: PoseScore, poses: Poses) -> FloatArray:
+        seen = self._bending.gain(score.fit(poses)) - score.cost(poses)
+        return np.asarray(SHARE * seen + score.log_prior(poses))
+
+
+def _covariance(surface: PoseSurface, some: IntArray, others: IntArray) -> FloatArray:
+    """Covariance of the field's components along the normals at samples, (n, k) m^2."""
+    apart = cdist(surface.points[some], surface.points[others])
+    alike = surface.normals[some] @ surface.normals[others].T
+    return np.asarray(BENDING_M**2 * np.exp(-0.5 * (apart / LENGTH_M) ** 2) * alike)
+
+
+def _spread(points: FloatArray, count: int) -> IntArray:
+    """Choose points far from each other, (count,)."""
+    chosen = [0]
+    away = np.linalg.norm(points - points[0], axis=1)
+    while len(chosen) < count:
+        chosen.append(int(np.argmax(away)))
+        away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return np.array(chosen, dtype=np.int64)
