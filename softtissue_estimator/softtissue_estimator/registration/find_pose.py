@@ -156,7 +156,7 @@ class PoseFinder:
         order = np.argsort(-values, kind="stable")
         poses, values = poses[order], values[order]
         posterior = self._posterior(scores, poses, values, rng)
-        return self._described(scores[best], posterior, poses, least)
+        return self._described(scores, posterior, poses, least)
 
     def _search(self, score: PoseScore, rng: np.random.Generator) -> _Scored:
         """Return the best poses and their scores, the best first."""
@@ -217,13 +217,14 @@ class PoseFinder:
 
     def _described(
         self,
-        score: PoseScore,
+        scores: list[PoseScore],
         posterior: PosePosterior,
         poses: Poses,
         least_margin: float,
     ) -> FoundPose:
         pose, covariance = posterior.around_chosen(self._surface.centre)
         second, margin = self._second(posterior, pose, poses), posterior.log_odds
+        score = max(scores, key=lambda one: float(one(Poses.of([pose]))[0]))
         fit = score.fit(Poses.of([pose]))
         weight, height = fit.weight[0], fit.height[0]
         overlap = float(weight.mean())

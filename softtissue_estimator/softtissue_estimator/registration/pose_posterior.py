@@ -23,7 +23,7 @@ WITHIN_M = 0.020
 """A sample counts for poses that are so near, on average over the organ, about."""
 _SOFT_M = 0.003  # over which a sample ceases to count
 _ROUGH_TURNS, _ROUGH_COUNT = 2, 320
-_TURNS, _COUNT = 2, 160
+_COUNTS = (240, 160)
 _LEAST_COUNT = 6  # samples of a component
 _LEAST_SHARE = 0.02  # of the samples, of a component
 _WIDER = 1.5  # variances that are drawn from, of those that were found
@@ -58,9 +58,10 @@ class PosePosterior:
         return int(np.argmax(self.near @ self.weight))
 
     def second(self, apart_m: float) -> int | None:
-        """Return the sample with most around it of those that are so far from the chosen one; None without any."""
+        """Return the sample so far away that has most around it of what the chosen one has not; None without any."""
         far = self.apart_m[self.chosen] > apart_m
-        return int(np.argmax(np.where(far, self.near @ self.weight, -1.0))) if far.any() else None
+        left = self.weight * (1.0 - self.near[self.chosen])
+        return int(np.argmax(np.where(far, self.near @ left, -1.0))) if far.any() else None
 
     @property
     def log_odds(self) -> float:
@@ -102,9 +103,10 @@ def sample_poses(
     for _ in range(_ROUGH_TURNS):
         poses, _ = mixture.draw(_ROUGH_COUNT, rng)
         mixture.fit(poses, rough(poses))
+        mixture.share_equally()  # the evidence may see it otherwise
     samples, weights = [], []
-    for _ in range(_TURNS):
-        poses, drawn = mixture.draw(_COUNT, rng)
+    for count in _COUNTS:
+        poses, drawn = mixture.draw(count, rng)
         posterior = evidence(poses)
         samples.append(poses)
         weights.append(posterior - drawn)
@@ -127,13 +129,17 @@ class _Mixture:
         self._modes, self._centre = modes, centre
         self._mean = np.zeros((len(modes), 6))
         self._covariance = np.tile(np.diag(_FIRST_SIGMAS**2), (len(modes), 1, 1))
-        self._share = np.full(len(modes), 1.0 / len(modes))
+        self.share_equally()
+
+    def share_equally(self) -> None:
+        """Give each Gaussian as many samples as any other."""
+        self._share = np.full(len(self._modes), 1.0 / len(self._modes))
 
     def draw(self, count: int, rng: np.random.Generator) -> tuple[Poses, FloatArray]:
-        """Draw about so many poses, and return the logarithms of their densities, (k,); each mean is among them."""
+        """Draw about so many poses, and return the logarithms of their densities, (k,)."""
         counts = np.maximum(np.rint(self._share * count).astype(np.int64), _LEAST_COUNT)
         steps = [
-            np.vstack([mean, rng.multivariate_normal(mean, _WIDER * covariance, number - 1)])
+            rng.multivariate_normal(mean, _WIDER * covariance, number)
             for mean, covariance, number in zip(self._mean, self._covariance, counts, strict=True)
         ]
         origin = np.repeat(np.arange(len(self._modes)), counts)
