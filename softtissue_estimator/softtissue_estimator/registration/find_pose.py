@@ -77,7 +77,7 @@ class FoundPose:
     overlap
         Share of the cloud that is on the organ, by that probability, 0 to 1.
     ambiguous
-        True if a clearly different pose explains the cloud almost as well, or nothing does, or only what was rejected.
+        True if the organ may well be elsewhere, or no pose explains the cloud, or only one that was rejected.
     second
         The likeliest of the clearly different poses, however unlikely; None where there is none.
     margin
