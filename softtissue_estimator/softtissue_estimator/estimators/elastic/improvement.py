@@ -4,11 +4,11 @@ from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from threading import Event
 
+from softtissue_estimator.estimators.elastic.amplitudes import Variances
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
 from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest
-from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.estimators.elastic.suppositions import revised
 from softtissue_estimator.inference.device import one_thread

@@ -42,12 +42,14 @@ def leading_loads(
     covariance = root[:, None] * gram * root
     first = torch.topk(variances, min(relevant, len(variances))).indices
     chosen = first.tolist()
-    half = _pivots(covariance, covariance[:, :0], first)
+    half = added = _pivots(covariance, covariance[:, :0], first)
+    left = covariance.diagonal().clone()
     for _ in range(min(others, len(variances) - len(chosen))):
-        left = covariance.diagonal() - half.square().sum(dim=1)
+        left -= added.square().sum(dim=1)
         load = left.view(-1, 3).sum(dim=1).argmax()
         chosen.append(int(load))
-        half = torch.cat([half, _pivots(covariance, half, load[None])], dim=1)
+        added = _pivots(covariance, half, load[None])
+        half = torch.cat([half, added], dim=1)
     return torch.tensor(sorted(set(chosen)), device=variances.device)
 
 

@@ -17,20 +17,21 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
-from softtissue_estimator.estimators.elastic.observed_nodes import ObservedNodes
-from softtissue_estimator.estimators.elastic.relevance import (
+from softtissue_estimator.estimators.elastic.amplitudes import (
     Amplitudes,
     FieldValues,
     Variances,
-    determine_relevance,
     invert_lower,
 )
+from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
+from softtissue_estimator.estimators.elastic.observed_nodes import ObservedNodes
+from softtissue_estimator.estimators.elastic.relevance import determine_relevance
 
 LEAST_FIELD_SIGMA_M = 5e-5
 """Standard deviation of the field of errors, at least: neighbours err together by as much, however good."""
 _ALL = slice(None)
 _BLOCK_ROWS = 160  # of a triangular matrix: as many as are worth a product of their own
+_BLOCK_COLUMNS = 240  # the same, of a symmetric one
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +128,7 @@ def _normal_equations(
     count, _, width = direct.shape
     flat = direct.reshape(3 * count, width)
     weighted = normal @ direct.reshape(count, 3 * width)
-    outer = flat.T @ weighted.reshape(3 * count, width)
+    outer = _symmetric(flat, weighted.reshape(3 * count, width))
     if not columns.shape[1]:
         return outer, flat.T @ right.reshape(-1)
     # What a field moves along one axis tells nothing of another one.
@@ -142,6 +143,18 @@ def _normal_equations(
         alone, mixed, told = whole @ alone @ whole.T, whole @ mixed, whole @ told
     gram = torch.cat([torch.cat([alone, mixed], dim=1), torch.cat([mixed.T, outer], dim=1)])
     return gram, torch.cat([told, flat.T @ right.reshape(-1)])
+
+
+def _symmetric(left: Tensor, right: Tensor) -> Tensor:
+    """Return left^T right, (w, w), which is known to be symmetric: half of it is mirrored."""
+    width = left.shape[1]
+    found = left.new_empty(width, width)
+    for begin in range(0, width, _BLOCK_COLUMNS):
+        block = slice(begin, begin + _BLOCK_COLUMNS)
+        part = left[:, begin:].T @ right[:, block]
+        found[begin:, block] = part
+        found[block, begin:] = part.T
+    return found
 
 
 def mean_displacement(tangent: Tangent, amplitudes: Amplitudes) -> Tensor:

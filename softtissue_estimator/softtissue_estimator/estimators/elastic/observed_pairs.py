@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from softtissue_estimator.estimators.elastic.amplitudes import Variances
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.linear_gaussian import (
     LEAST_FIELD_SIGMA_M,
@@ -26,7 +27,6 @@ from softtissue_estimator.estimators.elastic.model import ElasticModel
 from softtissue_estimator.estimators.elastic.observed import Conditioned, Explained, Observed
 from softtissue_estimator.estimators.elastic.observed_nodes import ObservedPlaces
 from softtissue_estimator.estimators.elastic.registration_error import REGISTRATION_SCALES, RegistrationError
-from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.estimators.elastic.smooth_error import (
     FIRST_SIGMA_M,
     along_surface,
@@ -89,7 +89,11 @@ class PairsObservation:
 
     def about(self, mean: Tensor, registration: RegistrationError, reach_m: float) -> ObservedPairs:
         """Return the pairs, which may be wrong along the surface as the organ is estimated now."""
-        return ObservedPairs(self, self._surface.normals(self._material, mean.cpu().numpy()))
+        return ObservedPairs(self, mean)
+
+    def normals(self, mean: Tensor) -> FloatArray:
+        """Return the surface's normals at the patches, (c, 3), where the nodes have moved by so much, (n, 3) m."""
+        return self._surface.normals(self._material, mean.cpu().numpy())
 
     def anew(self, explained: Explained, reach_m: float) -> tuple[Observed, FloatArray]:
         """Return the same, and what is left of it."""
@@ -102,22 +106,29 @@ class ObservedPairs:
     Parameters
     ----------
     whole : PairsObservation
-    normals : (c, 3)
-        Of the surface as it has moved, at the patches.
+    mean : (n, 3) float64 m
+        Displacement of the nodes, which says where the surface's normals point.
     """
 
     components = 3
     field_components: tuple[int, ...] = (1, 3, 2)
 
-    def __init__(self, whole: PairsObservation, normals: FloatArray) -> None:
-        patches, self._whole, self._places = whole.patches, whole, whole.places
+    def __init__(self, whole: PairsObservation, mean: Tensor) -> None:
+        patches, self._whole, self._places, self._mean = whole.patches, whole, whole.places, mean
         self._positions = patches.reference + patches.displacement
         self.precision, self.nodes = patches.precision, whole.places.nodes
         self.counts = np.ones(len(patches.precision))
         self.equations = 3 * len(patches.precision)
+
+    @cached_property
+    def _normals(self) -> FloatArray:
+        return self._whole.normals(self._mean)
+
+    @cached_property
+    def _ray(self) -> Tensor:
         # A camera sees the side that faces it. An organ that is seen from all sides has no ray: any will do.
-        self._ray = torch.from_numpy(unit_rows(normals.mean(axis=0)[None])[0]).to(whole.nodes_at_rest.device)
-        self._normals = normals
+        mean = unit_rows(self._normals.mean(axis=0)[None])[0]
+        return torch.from_numpy(mean).to(self._whole.nodes_at_rest.device)
 
     @cached_property
     def _slide(self) -> Tensor:
@@ -156,7 +167,7 @@ class ObservedPairs:
         if bool((variances.fields.maximum(most) <= LEAST_FIELD_SIGMA_M**2).all()):
             # Of a stream that errs in nothing: most of the time of a frame would go into fields that say nothing.
             none = nuisance.new_zeros(len(nuisance), 3, 0)
-            errors = Errors(none[:, 0], nuisance, self._ray, none, most)
+            errors = Errors(none[:, 0], nuisance, nuisance.new_zeros(3), none, most)
         else:
             errors = Errors(self._whole.field, nuisance, self._ray, self._slide, most)
         observed = self._places.sum_up(displacement, precision)

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from softtissue_estimator.estimators.elastic.amplitudes import Amplitudes, Variances
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.observed import Observed
 from softtissue_estimator.estimators.elastic.own_motion import OwnMotion
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
-from softtissue_estimator.estimators.elastic.relevance import Amplitudes, Variances
 from softtissue_estimator.organ.mesh import FloatArray
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from softtissue_estimator.estimators.elastic.amplitudes import Variances
 from softtissue_estimator.estimators.elastic.hyperelastic import Tangent, to_tensor
 from softtissue_estimator.estimators.elastic.leading_loads import leading_loads
 from softtissue_estimator.estimators.elastic.loads_prior import LoadsPrior
@@ -23,7 +24,6 @@ from softtissue_estimator.estimators.elastic.own_motion import beside_own_motion
 from softtissue_estimator.estimators.elastic.plausibility import plausible_fit
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart, warm_start
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
-from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.observation.seen_surface import CELL_M
 from softtissue_estimator.organ.mesh import FloatArray

@@ -15,6 +15,7 @@ from dataclasses import replace
 import torch
 
 from softtissue_estimator.errors import OrganNotFoundError
+from softtissue_estimator.estimators.elastic.amplitudes import Variances
 from softtissue_estimator.estimators.elastic.doubts import Troubles
 from softtissue_estimator.estimators.elastic.improvement import Task, improve
 from softtissue_estimator.estimators.elastic.innovations import Innovations
@@ -22,7 +23,6 @@ from softtissue_estimator.estimators.elastic.memory import Known, Memory, follow
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
-from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.estimators.elastic.suppositions import likeliest_scale
 

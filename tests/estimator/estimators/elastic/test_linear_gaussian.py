@@ -12,6 +12,7 @@ from scipy.stats import multivariate_normal
 from estimator.linear_stiffness import averaged_stiffness
 from estimator.shapes import box_tets
 from softtissue_estimator.estimators.elastic import loads, smooth_error
+from softtissue_estimator.estimators.elastic.amplitudes import Variances
 from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody
 from softtissue_estimator.estimators.elastic.leading_loads import leading_loads
 from softtissue_estimator.estimators.elastic.linear_gaussian import (
@@ -27,7 +28,6 @@ from softtissue_estimator.estimators.elastic.observed import Observed
 from softtissue_estimator.estimators.elastic.observed_nodes import ObservedPlaces
 from softtissue_estimator.estimators.elastic.posterior import Posterior
 from softtissue_estimator.estimators.elastic.registration_error import expected_error
-from softtissue_estimator.estimators.elastic.relevance import Variances
 
 CPU = torch.device("cpu")
 LENGTHS = (0.09, 0.05, 0.03)

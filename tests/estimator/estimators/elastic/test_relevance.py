@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from softtissue_estimator.estimators.elastic.relevance import (
-    PRUNED_SHARE,
-    Variances,
-    determine_relevance,
-)
+from softtissue_estimator.estimators.elastic.amplitudes import Variances
+from softtissue_estimator.estimators.elastic.relevance import PRUNED_SHARE, determine_relevance
 
 GROUPS, FIELD, NUISANCE, ROWS, NOISE = 20, 15, 2, 120, 0.05
 LOADS = 3 * GROUPS
@@ -149,6 +146,44 @@ def test_pruned_loads_keep_their_variances_and_the_others_go_on_without_them():
     )
     np.testing.assert_allclose(second.loads[kept].numpy(), alone.variances.numpy(), rtol=1e-10)
     assert float(second.fields) == pytest.approx(float(alone.prior.fields), rel=1e-10)
+
+
+def in_single_updates(updates, data, start, least_field):
+    """The same, each update with the whole field and all loads."""
+    prior = start
+    for _ in range(updates):
+        prior = determine_relevance(GRAM, right(data), prior, (FIELD,), 1, least_field).prior
+    return prior
+
+
+def test_a_field_at_its_least_is_integrated_out_and_not_left_out():
+    least = (2.0 * FIELD_SIGMA) ** 2
+    start = dataclasses.replace(START, fields=torch.tensor([least], dtype=torch.float64))
+    found = determine_relevance(GRAM, right(WITH_ERRORS), start, (FIELD,), 6, least)
+    expected = in_single_updates(6, WITH_ERRORS, start, least)
+    assert float(found.prior.fields) == float(expected.fields) == least
+    # The others are pruned on the way.
+    assert set(np.flatnonzero(found.variances.numpy() > 0.01)) == {7, 12}
+    np.testing.assert_allclose(found.variances[[7, 12]].numpy(), expected.loads[[7, 12]].numpy(), rtol=1e-3)
+    np.testing.assert_allclose(found.field.numpy(), ERRORS, atol=0.05)
+    left_out = determined(6, WITH_ERRORS, dataclasses.replace(start, fields=start.fields * 1e-6))
+    assert not np.allclose(left_out.variances[[7, 12]].numpy(), expected.loads[[7, 12]].numpy(), rtol=1e-3)
+
+
+def test_a_field_that_grows_from_its_least_is_told_in_every_update():
+    start = dataclasses.replace(START, fields=torch.tensor([LEAST_FIELD], dtype=torch.float64))
+    expected = in_single_updates(6, WITH_ERRORS, start, LEAST_FIELD)
+    found = determined(6, WITH_ERRORS, start).prior
+    assert float(found.fields) == pytest.approx(float(expected.fields), rel=0.02)
+    assert float(found.fields) > 1e3 * LEAST_FIELD
+
+
+def test_what_is_held_stays_held():
+    held = dataclasses.replace(START, loads=START.loads.clone())
+    held.loads[7] *= 1e-9
+    found = determined(5, start=held)
+    assert torch.equal(found.variances[7], held.loads[7])
+    assert np.abs(found.loads[21:24].numpy()).max() < 1e-4
 
 
 def test_without_a_signal_nothing_is_relevant_and_nothing_fails():

@@ -9,12 +9,12 @@ import torch
 from estimator.shapes import ellipsoid, ellipsoid_tets, organ_of
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.estimators.elastic.amplitudes import Variances
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
 from softtissue_estimator.estimators.elastic.linear_gaussian import equal_variances, mean_displacement
 from softtissue_estimator.estimators.elastic.observed_surface import SurfaceObservation
 from softtissue_estimator.estimators.elastic.posterior import Posterior
 from softtissue_estimator.estimators.elastic.registration_error import told_error
-from softtissue_estimator.estimators.elastic.relevance import Variances
 from softtissue_estimator.observation.bare_cloud import BareCloud
 from softtissue_estimator.observation.rigid import fit_rigid
 from softtissue_estimator.observation.seen_surface import seen_surface
