@@ -146,7 +146,7 @@ class PoseFinder:
         rng = np.random.default_rng(0)
         scores = [PoseScore(self._surface, cloud, prior, rejected) for cloud in _clouds(points, camera)]
         found = [self._search(score, rng) for score in scores]
-        best = int(np.argmax([values.max() for _, values in found]))
+        best = int(np.argmax([values[0] for _, values in found]))
         found[best] = self._with_rivals(scores[best], *found[best], rng)
         least = LEAST_BLIND_MARGIN if camera is None and prior is None else LEAST_MARGIN
         poses = found[0][0]
@@ -235,9 +235,7 @@ class PoseFinder:
         elif ambiguous and second is not None:
             few = self._surface.few
             apart_m = np.linalg.norm(second.apply(few) - pose.apply(few), axis=1).mean()
-            message = (
-                f"a second pose, {1e3 * apart_m:.0f} mm away on average, explains the cloud almost as well"
-            )
+            message = f"a second pose, {1e3 * apart_m:.0f} mm away on average, may be the right one"
         near_wrong = score.is_rejected(pose, _NEAR_REJECTED * CLEARLY_DIFFERENT_M)
         if near_wrong:
             message = "the pose that explains the cloud best is nearly one that was rejected"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +53,7 @@ class PosePosterior:
     apart_m: FloatArray
     near: FloatArray
 
-    @property
+    @cached_property
     def chosen(self) -> int:
         """The sample with most of the posterior around it."""
         return int(np.argmax(self.near @ self.weight))

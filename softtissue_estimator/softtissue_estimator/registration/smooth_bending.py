@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
+from softtissue_estimator.organ.farthest_points import farthest_points
 from softtissue_estimator.registration.pose_score import Fit, PoseScore
 from softtissue_estimator.registration.pose_surface import PoseSurface
 from softtissue_estimator.registration.poses import Poses
@@ -48,7 +49,7 @@ class SmoothBending:
     """
 
     def __init__(self, surface: PoseSurface) -> None:
-        places = _spread(surface.points, _PLACES)
+        places, _ = farthest_points(surface.points, _PLACES, first=0)
         values, vectors = np.linalg.eigh(
             _covariance(surface, places, places) + 1e-6 * BENDING_M**2 * np.eye(len(places))
         )
@@ -107,13 +108,3 @@ def _covariance(surface: PoseSurface, some: IntArray, others: IntArray) -> Float
     apart = cdist(surface.points[some], surface.points[others])
     alike = surface.normals[some] @ surface.normals[others].T
     return np.asarray(BENDING_M**2 * np.exp(-0.5 * (apart / LENGTH_M) ** 2) * alike)
-
-
-def _spread(points: FloatArray, count: int) -> IntArray:
-    """Choose points far from each other, (count,)."""
-    chosen = [0]
-    away = np.linalg.norm(points - points[0], axis=1)
-    while len(chosen) < count:
-        chosen.append(int(np.argmax(away)))
-        away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return np.array(chosen, dtype=np.int64)

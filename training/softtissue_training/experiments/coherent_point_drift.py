@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.organ.farthest_points import farthest_points
 
 FloatArray = NDArray[np.float64]
 
@@ -148,15 +149,8 @@ def coherent_point_drift(
 
 def spread_points(points: FloatArray, count: int) -> NDArray[np.int64]:
     """Choose points (n, 3) far from one another, the same ones every time, (min(n, count),) ascending indices."""
-    if len(points) <= count:
-        return np.arange(len(points))
-    chosen = np.empty(count, dtype=np.int64)
-    chosen[0] = int(((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax())
-    nearest = ((points - points[chosen[0]]) ** 2).sum(axis=1)
-    for index in range(1, count):
-        chosen[index] = int(nearest.argmax())
-        nearest = np.minimum(nearest, ((points - points[chosen[index]]) ** 2).sum(axis=1))
-    return np.sort(chosen)
+    first = int(np.square(points - points.mean(axis=0)).sum(axis=1).argmax())
+    return np.sort(farthest_points(points, count, first)[0])
 
 
 def _registration() -> Any:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.organ.farthest_points import farthest_points
 from softtissue_training.phantom.implicit import Implicit, Points, Values, capsule, smooth_union
 
 Array = NDArray[np.float64]
@@ -116,12 +117,7 @@ def interior_points(
 
 def spread(points: Array, count: int, first: int) -> NDArray[np.int64]:
     """Pick `count` points far from one another and from point `first`, which is not among them."""
-    distance = np.linalg.norm(points - points[first], axis=1)
-    picked = []
-    for _ in range(count):
-        picked.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(points - points[picked[-1]], axis=1))
-    return np.array(picked)
+    return farthest_points(points, count + 1, first)[0][1:]
 
 
 def _balanced_tree(points: Array) -> NDArray[np.int64]:

@@ -165,17 +165,7 @@ class Amplitudes:
 def posterior_factor(
     gram: Tensor, right: Tensor, variances: Variances, field_values: FieldValues
 ) -> tuple[Tensor, Tensor]:
-    """Return the factor (r, r) and the mean (r,) of the amplitudes' posterior, as of `Amplitudes`, for given variances.
-
-    Parameters
-    ----------
-    gram : (r, r) float64
-        J^T S^-1 J of the linear model J and the noise' covariance S.
-    right : (r,) float64
-        J^T S^-1 y.
-    variances : Variances
-    field_values : tuple of int
-    """
+    """Return `factor` and `mean` of `Amplitudes`, of G and J^T S^-1 y, (r,), for given variances."""
     root = variances.roots(field_values, len(right))
     precision = root[:, None] * gram * root
     precision.diagonal().add_(1.0)

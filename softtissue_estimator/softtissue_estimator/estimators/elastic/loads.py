@@ -6,7 +6,8 @@ Whatever pushes is a sum of these, each with an amplitude (a vector); `linear_ga
 import numpy as np
 
 from softtissue_estimator.estimators.elastic.elasticity import nodal_areas, nodal_volumes
-from softtissue_estimator.organ.mesh import FloatArray
+from softtissue_estimator.organ.farthest_points import farthest_points
+from softtissue_estimator.organ.mesh import FloatArray, IntArray
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
 PATCH_SPACING_M = 0.012
@@ -86,19 +87,15 @@ def _patches(points: FloatArray) -> FloatArray:
     return np.concatenate(sizes, axis=1)
 
 
-def _gaussians(points: FloatArray, centres: list[int], spacing: float) -> FloatArray:
+def _gaussians(points: FloatArray, centres: IntArray, spacing: float) -> FloatArray:
     squared = ((points[:, None] - points[centres]) ** 2).sum(axis=2)
     weight = np.exp(-squared / (2.0 * (PATCH_WIDTH_RATIO * spacing) ** 2))
     weight[weight < _LEAST_RELATIVE_WEIGHT] = 0.0
     return np.asarray(weight)
 
 
-def _spread(points: FloatArray, spacing: float) -> tuple[list[int], float]:
-    """Choose points (n, 3) m, each as far as possible from those before; and how far apart they are at least, m."""
-    distance = ((points - points.mean(axis=0)) ** 2).sum(axis=1)
-    chosen = [int(distance.argmax())]
-    nearest = ((points - points[chosen[0]]) ** 2).sum(axis=1)
-    while nearest.max() >= spacing**2 and len(chosen) < MOST_PATCHES:
-        chosen.append(int(nearest.argmax()))
-        nearest = np.minimum(nearest, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
-    return chosen, max(spacing, float(np.sqrt(nearest.max())))
+def _spread(points: FloatArray, spacing: float) -> tuple[IntArray, float]:
+    """Choose points (n, 3) m that are spread over all; and how far apart they are at least, m."""
+    first = int(np.square(points - points.mean(axis=0)).sum(axis=1).argmax())
+    centres, left = farthest_points(points, MOST_PATCHES, first, spacing)
+    return centres, max(spacing, left)

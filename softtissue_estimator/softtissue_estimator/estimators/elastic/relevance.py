@@ -75,7 +75,11 @@ def determine_relevance(
         fields = variances.fields.clamp_min(least_field)
         fields = fields if most_fields is None else fields.minimum(most_fields)
         variances = replace(variances, fields=fields)
-        if told[-1] and update + 1 < updates and bool((fields_before.maximum(fields) <= least_field).all()):
+        if (
+            any(told[-1])
+            and update + 1 < updates
+            and bool((fields_before.maximum(fields) <= least_field).all())
+        ):
             # Of a stream that errs in nothing: most of the time would go into fields that stay what they are.
             told = _integrated(gram, right, variances, field_values)
         # An irrelevant load moves nothing, and takes as long as another one.
@@ -92,7 +96,7 @@ def _loads_from(least_share: float, variances: Variances) -> Tensor:
 def _integrated(
     gram: Tensor, right: Tensor, variances: Variances, field_values: FieldValues
 ) -> tuple[Tensor, Tensor, FieldValues]:
-    """Return what is told of all other parameters, with the fields of errors integrated out."""
+    """Return what is told of the loads and the nuisance parameters, with the fields of errors integrated out."""
     begin = sum(field_values)
     root = variances.roots(field_values, len(right))[:begin, None]
     precision = root * gram[:begin, :begin] * root.T

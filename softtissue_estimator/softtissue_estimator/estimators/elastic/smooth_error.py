@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from softtissue_estimator.organ.farthest_points import farthest_points
 from softtissue_estimator.organ.mesh import FloatArray
 
 LENGTH_M = 0.025
@@ -40,7 +41,9 @@ def field_columns(positions: Tensor, seen: FloatArray) -> Tensor:
     -------
     (s, k) float64
     """
-    centres = torch.from_numpy(seen[_spread(seen)]).to(positions.device)
+    middle = int(np.square(seen - seen.mean(axis=0)).sum(axis=1).argmin())
+    chosen, _ = farthest_points(seen, MOST_CENTRES, middle, SPACING_M)
+    centres = torch.from_numpy(seen[chosen]).to(positions.device)
     among = _covariance(centres, centres)
     among.diagonal().add_(_JITTER)
     factor = torch.linalg.cholesky(among)
@@ -93,13 +96,3 @@ def _carried(vector: Tensor, start: Tensor, ends: Tensor) -> Tensor:
 def _covariance(first: Tensor, second: Tensor) -> Tensor:
     covariance: Tensor = torch.exp(-torch.cdist(first, second).square() / (2.0 * LENGTH_M**2))
     return covariance
-
-
-def _spread(points: FloatArray) -> list[int]:
-    """Choose some of the points (c, 3) m, each as far as possible from those before."""
-    chosen = [int(np.square(points - points.mean(axis=0)).sum(axis=1).argmin())]
-    nearest = np.square(points - points[chosen[0]]).sum(axis=1)
-    while nearest.max() > SPACING_M**2 and len(chosen) < MOST_CENTRES:
-        chosen.append(int(nearest.argmax()))
-        np.minimum(nearest, np.square(points - points[chosen[-1]]).sum(axis=1), out=nearest)
-    return chosen
