@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.overlay.lens import COEFFICIENTS, project_points
 from softtissue_estimator.overlay.libraries import cv2
 
 FloatArray = NDArray[np.float64]
@@ -70,7 +71,12 @@ class Camera:
             Column and row (pixels) and depth along the optical axis (m). NaN for points that are not finite, nearer
             than `NEAREST_M` or so far to the side that the distortion says nothing of them.
         """
-        points = np.asarray(points, dtype=np.float64) + self.shift
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        if self._bends is not None:
+            bent = np.empty(points.shape)
+            project_points(points, self.shift, self.matrix, self._bends, NEAREST_M, self._widest, bent)
+            return bent
+        points = points + self.shift
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             seen = np.isfinite(points).all(axis=1) & (points[:, 2] > NEAREST_M)
             slope = np.hypot(points[:, 0], points[:, 1]) / points[:, 2]
@@ -94,6 +100,18 @@ class Camera:
         project = cv2.fisheye.projectPoints if self.model == "equidistant" else cv2.projectPoints
         pixels, _ = project(points[:, None], np.zeros(3), np.zeros(3), self.matrix, self.distortion)
         return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+
+    @cached_property
+    def _bends(self) -> FloatArray | None:
+        """The lens as `project_points` takes it; None for others."""
+        distorted = bool(self.distortion.any())
+        if (distorted and self.model == "equidistant") or self.distortion[COEFFICIENTS:].any():
+            return None
+        bends: FloatArray = np.zeros(COEFFICIENTS)
+        if distorted:
+            given = self.distortion[:COEFFICIENTS]
+            bends[: len(given)] = given
+        return bends
 
     @cached_property
     def _widest(self) -> float:

@@ -1,14 +1,17 @@
 """A part of an image in which structures are drawn, with its buffers."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.overlay.buffers import Buffers
 from softtissue_estimator.overlay.camera import Camera
-from softtissue_estimator.overlay.rasteriser import fill_depth, fill_triangles
-from softtissue_estimator.overlay.strokes import draw_contour, draw_outlines, find_strength, mix
+from softtissue_estimator.overlay.libraries import cv2
+from softtissue_estimator.overlay.rasteriser import fill_depth, fill_triangles, find_ends
+from softtissue_estimator.overlay.shading import find_strength, mix
+from softtissue_estimator.overlay.strokes import draw_contour, draw_outlines, lay_bands
 from softtissue_estimator.view.structures import FloatArray, Numbers
 
 Image = NDArray[np.uint8]
@@ -20,6 +23,7 @@ WIDEST_SHARE = 0.08
 """Of the image's rows: the half width of the widest band."""
 _REFERENCE_ROWS = 480  # of an image on which lines have their least width
 _CELLS = 240  # along the height of an image, in each of which a disc is drawn where a band is wide
+_LARGE_ROWS = 720  # of an image on which wide bands, which are faint, are drawn in pixels of two by two
 _LINE_PX = 1.0  # half width of a line there
 _ROUND_ALONE = 2  # pixels round a structure that is drawn alone, which show that it ends there
 
@@ -38,10 +42,6 @@ class Window:
         """Rows and columns."""
         return self.rows, self.columns
 
-    def of(self, image: Image) -> Image:
-        """Return this part of an image, as a view."""
-        return image[self.top : self.top + self.rows, self.left : self.left + self.columns]
-
 
 class Drawing:
     """Buffers of a window, and what is drawn into them. It holds until the next one is made with the same `Buffers`."""
@@ -50,24 +50,35 @@ class Drawing:
         self._window, self._camera = window, camera
         self._structures, self._buffers = structures, buffers
         self._labels = buffers.zeros("labels", window.shape, np.uint8)
-        self._nearness = buffers.zeros("nearness", window.shape, np.float32)
-        self._cover = buffers.zeros("cover", window.shape, np.float32)
         self._owner = buffers.zeros("owner", window.shape, np.uint8)
-        # Of these only what was filled is read.
-        self._drawn = buffers.empty("drawn", (*window.shape, 2), np.float32)
+        # Of these only what has a label or an owner counts.
+        self._nearness = buffers.empty("nearness", window.shape, np.float32)
+        self._cover = buffers.empty("cover", window.shape, np.float32)
+        self._shade = buffers.empty("shade", window.shape, np.float32)
+        self._sigma = buffers.empty("sigma", window.shape, np.float32)
         self._strength = buffers.empty("strength", window.shape, np.float32)
 
-    @property
-    def covered(self) -> NDArray[np.bool_]:
-        """Pixels (rows, columns) of the window on which anything is drawn."""
-        return np.asarray((self._labels > 0) | (self._cover > 0.0))
+    @cached_property
+    def covered(self) -> Image:
+        """Pixels (rows, columns) of the window, not 0 where anything is drawn."""
+        return np.asarray(self._labels | self._owner)
 
-    def add(self, pixels: FloatArray, faces: Numbers, values: Floats, label: int) -> None:
+    def add(self, pixels: FloatArray, faces: Numbers, away: int, values: Floats, label: int) -> None:
         """Draw a structure into the depth buffer; `pixels` (n, 3) are columns, rows and depths (m)."""
-        fill_triangles(self._placed(pixels), faces, values, label, self._labels, self._nearness, self._drawn)
+        fill_triangles(
+            with_nearness(pixels, self._window.left, self._window.top),
+            faces,
+            away,
+            values,
+            label,
+            self._labels,
+            self._nearness,
+            self._shade,
+            self._sigma,
+        )
 
     def outline(self, surface: Floats) -> Numbers:
-        """Outline what was added; return where each label is (`find_strength`)."""
+        """Outline what was added; return where each label is (`draw_outlines`)."""
         window, camera = self._window, self._camera
         lens = np.array([*camera.matrix[:2, 2], camera.focal], dtype=np.float32)
         extents = np.zeros((self._structures + 1, 5), np.int32)
@@ -80,40 +91,52 @@ class Drawing:
             COARSER,
             lens,
             self._strength,
-            extents,
         )
         widest = WIDEST_SHARE * camera.rows
         cell = max(2, camera.rows // _CELLS)
+        shift = int(camera.rows >= _LARGE_ROWS)
+        band = self._buffers.zeros(
+            "band", ((window.rows >> shift) + 1, (window.columns >> shift) + 1), np.uint32
+        )
         cells = np.zeros((window.rows // cell + 1, window.columns // cell + 1), np.uint8)
         draw_outlines(
             self._labels,
             self._strength,
-            self._drawn,
+            self._sigma,
             line_px(camera),
             widest,
             self._cover,
             self._owner,
+            band,
+            shift,
             cells,
             cell,
+            extents,
         )
+        lay_bands(band, shift, self._cover, self._owner)
         return extents
 
     def add_contour(
         self,
         pixels: FloatArray,
         faces: Numbers,
+        closed: bool,
         label: int,
         strength: float,
         dashes: int,
         half_width: float,
     ) -> None:
-        """Draw a line round a structure alone (`draw_contour`), which must lie in the window."""
+        """Draw a line round a structure alone (`draw_contour`), which must lie in the window.
+
+        Of one that is `closed` either side of its triangles shows where it is.
+        """
         window = self._window
         box = find_window([pixels], self._camera, _ROUND_ALONE)
         if box is None:
             return
         alone = self._buffers.zeros("alone", box.shape, np.float32)
-        fill_depth(with_nearness(pixels, box.left, box.top), faces, alone)
+        away = int(closed and bool(np.isfinite(pixels).all()))
+        fill_depth(with_nearness(pixels, box.left, box.top), faces, away, alone)
         corner = box.top - window.top, box.left - window.left
         draw_contour(alone, *corner, label, strength, dashes, half_width, self._cover, self._owner)
 
@@ -121,11 +144,13 @@ class Drawing:
         """Mix everything with an image; `colours` (s, 3), 0 to 1, in its order."""
         table = np.zeros((len(colours) + 1, 3), np.float32)
         table[1:] = 255.0 * colours
-        part = self._window.of(image)
-        mix(part, self._labels, self._strength, self._drawn, self._cover, self._owner, table)
-
-    def _placed(self, pixels: FloatArray) -> Floats:
-        return with_nearness(pixels, self._window.left, self._window.top)
+        window = self._window
+        part = image[window.top : window.top + window.rows, window.left : window.left + window.columns]
+        # A channel's pixels side by side are mixed many at a time.
+        planes = self._buffers.empty("planes", (3, *window.shape), np.uint8)
+        cv2.split(part, list(planes))
+        mix(planes, self._labels, self._strength, self._shade, self._cover, self._owner, table)
+        cv2.merge(list(planes), part)
 
 
 def with_nearness(pixels: FloatArray, left: float, top: float, coarser: int = 1) -> Floats:
@@ -145,11 +170,10 @@ def line_px(camera: Camera) -> float:
 
 def find_window(pixels: list[FloatArray], camera: Camera, edge: int) -> Window | None:
     """Return the part of the image in which all of some pixels (n, 3) are, with an edge; None where none is."""
-    everything = np.concatenate(pixels)[:, :2]
-    everything = everything[np.isfinite(everything).all(axis=1)]
-    if not len(everything):
+    ends = np.array([find_ends(part) for part in pixels]).reshape(-1, 2, 2)
+    ends = np.array([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
+    if not np.isfinite(ends).all():
         return None
-    ends = np.array([everything.min(axis=0), everything.max(axis=0)])
     # A camera may put things farther away than whole numbers reach.
     first, last = ends.clip(-edge - 1, [camera.columns + edge, camera.rows + edge])
     left, top = np.maximum(np.floor(first).astype(int) - edge, 0).tolist()

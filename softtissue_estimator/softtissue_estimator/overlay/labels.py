@@ -42,7 +42,7 @@ def write_labels(
     image: Image,
     labels: Sequence[Label],
     corner: tuple[int, int],
-    covered: NDArray[np.bool_],
+    covered: NDArray[np.bool_] | Image,
     first_row: int = 0,
 ) -> list[Box]:
     """Write words where they cover nothing that is drawn and no other word; a word without a place is left out.
@@ -53,7 +53,7 @@ def write_labels(
         Written on.
     labels : sequence of Label
     corner : (int, int)
-        Column and row at which `covered` (rows, columns) begins, which says where something is drawn.
+        Column and row at which `covered` (rows, columns) begins, which is not 0 where something is drawn.
     first_row : int
         Above it nothing is written.
 
@@ -157,7 +157,11 @@ def _places(extent: tuple[int, ...], width: int, height: int) -> list[tuple[int,
 
 
 def _free(
-    box: Box, image: Image, corner: tuple[int, int], covered: NDArray[np.bool_], taken: list[Box]
+    box: Box,
+    image: Image,
+    corner: tuple[int, int],
+    covered: NDArray[np.bool_] | Image,
+    taken: list[Box],
 ) -> bool:
     left, top, right, bottom = box
     if left < 0 or top < 0 or right > image.shape[1] or bottom > image.shape[0]:

@@ -32,9 +32,9 @@ def compiled(signature: str) -> Callable[[Callable[..., Any]], Callable[..., Any
     def compile_function(function: Callable[..., Any]) -> Callable[..., Any]:
         done: Callable[..., Any]
         try:
-            done = numba.njit(signature, nogil=True, cache=True)(function)
+            done = numba.njit(signature, nogil=True, cache=True, error_model="numpy")(function)
         except RuntimeError:  # Numba found no place that it may write to
-            done = numba.njit(signature, nogil=True)(function)
+            done = numba.njit(signature, nogil=True, error_model="numpy")(function)
         return done
 
     return compile_function

@@ -6,6 +6,7 @@ import numpy as np
 
 from softtissue_estimator.overlay.buffers import Buffers
 from softtissue_estimator.overlay.camera import Camera
+from softtissue_estimator.overlay.depths import least_depth, surface_nearness
 from softtissue_estimator.overlay.drawing import (
     COARSER,
     WIDEST_SHARE,
@@ -15,10 +16,10 @@ from softtissue_estimator.overlay.drawing import (
     Window,
     find_window,
     line_px,
-    with_nearness,
 )
+from softtissue_estimator.overlay.facing import away_sign
 from softtissue_estimator.overlay.labels import Label, write_labels
-from softtissue_estimator.overlay.rasteriser import fill_depth, vertex_normals
+from softtissue_estimator.overlay.rasteriser import find_shades, vertex_normals
 from softtissue_estimator.overlay.scene import Order, Placed
 from softtissue_estimator.view.structures import FloatArray, Numbers, Structures
 
@@ -152,28 +153,38 @@ def _prepare(
     camera: Camera, structures: Structures, placed: Placed, margin_m: float, buffers: Buffers
 ) -> _Prepared | None:
     """Draw into buffers; None where nothing is on the image."""
-    pixels = camera.project(placed.points)
-    normals = [_normals(placed.points[structures.part(n)], faces) for n, faces in enumerate(structures.faces)]
+    points = np.ascontiguousarray(placed.points)
+    pixels = camera.project(points)
+    normals = [_normals(points[structures.part(n)], faces) for n, faces in enumerate(structures.faces)]
     margins = _margins(camera, structures, placed, normals, margin_m)
     sigma_px = _sigma_px(camera, placed.sigma, pixels)
     window = find_window([pixels, *margins.values()], camera, int(_reach_px(camera, sigma_px)) + 4)
     if window is None:
         return None
-    surface = _surface(camera, structures, placed.surface)
-    values = np.stack([_shades(placed.points, normals), sigma_px], axis=1)
+    surface = surface_nearness(camera, structures, placed.surface, buffers)
+    values = np.stack([sigma_px, sigma_px], axis=1)
+    find_shades(points, np.concatenate([np.zeros((0, 3), np.float32), *normals]), values)
     drawing = Drawing(window, camera, len(structures.names), buffers)
     for number, faces in enumerate(structures.faces):
-        drawing.add(pixels[structures.part(number)], faces, values[structures.part(number)], number + 1)
+        part = structures.part(number)
+        away = away_sign(points[part], faces, structures.shells[number], pixels[part])
+        drawing.add(pixels[part], faces, away, values[part], number + 1)
     extents = drawing.outline(surface)
     for number, grown in margins.items():
         drawing.add_contour(
-            grown, structures.faces[number], number + 1, _MARGIN_STRENGTH, _DASHES, line_px(camera)
+            grown,
+            structures.faces[number],
+            len(structures.shells[number]) > 0,
+            number + 1,
+            _MARGIN_STRENGTH,
+            _DASHES,
+            line_px(camera),
         )
-    depths = _depths(camera, structures, placed.points, pixels, surface)
-    outlined = [
-        Outlined(name, depth, int(extents[number + 1, 4]))
-        for number, (name, depth) in enumerate(zip(structures.names, depths, strict=True))
-    ]
+    outlined = []
+    for number, name in enumerate(structures.names):
+        part = structures.part(number)
+        depth = least_depth(points[part], pixels[part], surface, COARSER)
+        outlined.append(Outlined(name, float(depth), int(extents[number + 1, 4])))
     return _Prepared(drawing, window, extents, outlined)
 
 
@@ -211,7 +222,8 @@ def outline(
         return
     drawing = Drawing(window, camera, len(structures.names), Buffers())
     for number, faces in enumerate(structures.faces):
-        drawing.add_contour(pixels[structures.part(number)], faces, number + 1, 1.0, dashes, 0.5)
+        closed = len(structures.shells[number]) > 0
+        drawing.add_contour(pixels[structures.part(number)], faces, closed, number + 1, 1.0, dashes, 0.5)
     drawing.onto(image, np.tile(np.array(colour) / 255.0, (len(structures.names), 1)))
 
 
@@ -221,16 +233,6 @@ def _normals(points: FloatArray, faces: Numbers) -> Floats:
         single = points.astype(np.float32)
     vertex_normals(single, faces, normals)
     return normals
-
-
-def _shades(points: FloatArray, normals: list[Floats]) -> Floats:
-    """How much each vertex faces the camera, 0 to 1."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        away = points / np.linalg.norm(points, axis=1, keepdims=True)
-        towards = np.abs(
-            np.einsum("ij,ij->i", away, np.concatenate([np.zeros((0, 3), np.float32), *normals]))
-        )
-    return np.asarray(np.nan_to_num(towards), dtype=np.float32)
 
 
 def _sigma_px(camera: Camera, sigma: FloatArray, pixels: FloatArray) -> Floats:
@@ -257,32 +259,6 @@ def _margins(
         for number, kind in enumerate(structures.kinds)
         if kind == TUMOUR
     }
-
-
-def _surface(camera: Camera, structures: Structures, vertices: FloatArray | None) -> Floats:
-    """Nearness of the organ's surface, over the whole image, in coarser pixels."""
-    shape = -(-camera.rows // COARSER), -(-camera.columns // COARSER)
-    nearness = np.zeros(shape, np.float32)
-    faces = structures.surface_faces
-    if vertices is not None and len(faces) and faces.max() < len(vertices):
-        fill_depth(with_nearness(camera.project(vertices), 0.0, 0.0, COARSER), faces, nearness)
-    return nearness
-
-
-def _depths(
-    camera: Camera, structures: Structures, points: FloatArray, pixels: FloatArray, surface: Floats
-) -> list[float]:
-    """Least depth of each structure below the surface along the line of sight, m; NaN where that is not known."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        column, row = (np.nan_to_num(pixels[:, :2], nan=-1.0).round() // COARSER).astype(int).T
-        inside = (column >= 0) & (column < surface.shape[1]) & (row >= 0) & (row < surface.shape[0])
-        outer = np.zeros(len(points))
-        outer[inside] = surface[row[inside], column[inside]]
-        below = (pixels[:, 2] - 1.0 / outer) * np.linalg.norm(points, axis=1) / pixels[:, 2]
-    below[outer == 0.0] = np.inf
-    parts = (below[structures.part(number)] for number in range(len(structures.names)))
-    least = [float(np.min(part, initial=np.inf)) for part in parts]
-    return [max(depth, 0.0) if np.isfinite(depth) else float("nan") for depth in least]
 
 
 def _said(shown: Outlined) -> str:

@@ -14,7 +14,11 @@ from softtissue_estimator.overlay.libraries import compiled, inlined
 Floats = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 Numbers = NDArray[np.int32]
-Singles = tuple[np.float32, ...]
+Doubles = NDArray[np.float64]
+Plane = tuple[float, float, float]
+Weights = tuple[float, float, float, float]
+
+_TOUCHED = 1e-6  # of a column: two triangles share the pixels on their common edge, or it would show as a gap
 
 
 @compiled("void(float32[:,::1], int32[:,::1], float32[:,::1])")
@@ -47,52 +51,60 @@ def vertex_normals(vertices: Floats, faces: Numbers, normals: Floats) -> None:
             normals[row, 2] /= length
 
 
-@compiled("UniTuple(int64, 2)(float64, float64, UniTuple(float64, 4), UniTuple(float64, 3), int64)")
-def covered_columns(
-    x: float, y: float, weights: tuple[float, ...], inverse: tuple[float, ...], last: int
-) -> tuple[int, int]:
-    """Find the first and the last column of a row of pixels whose centres a triangle covers.
+@compiled("void(float64[:,::1], float32[:,::1], float32[:,::1])")
+def find_shades(points: Doubles, normals: Floats, values: Floats) -> None:
+    """Fill the first column of `values` (n, 2): how much each point (n, 3) faces the camera by its normal, 0 to 1."""
+    for row in range(points.shape[0]):
+        x, y, z = points[row, 0], points[row, 1], points[row, 2]
+        along = x * normals[row, 0] + y * normals[row, 1] + z * normals[row, 2]
+        shade = abs(along) / math.sqrt(x * x + y * y + z * z)
+        values[row, 0] = shade if shade >= 0.0 else 0.0  # of what is not finite
+
+
+@compiled("UniTuple(float64, 4)(float64[:,::1])")
+def find_ends(pixels: Doubles) -> tuple[float, float, float, float]:
+    """Return the least column and row of pixels (n, 3), and the largest; infinite where there are none."""
+    left, top, right, bottom = math.inf, math.inf, -math.inf, -math.inf
+    for number in range(pixels.shape[0]):
+        column, row = pixels[number, 0], pixels[number, 1]
+        if math.isfinite(column) and math.isfinite(row):
+            left, top, right, bottom = min(left, column), min(top, row), max(right, column), max(bottom, row)
+    return left, top, right, bottom
+
+
+@compiled("UniTuple(float64, 4)(float64, float64, float64, float64)")
+def columns_inside(x: float, weight: float, across: float, down: float) -> Weights:
+    """Find the columns in which a weight is at least 0.
 
     Parameters
     ----------
-    x, y : float
-        Column of the triangle's first corner, and how far the row is below it.
-    weights : (sx, sy, tx, ty)
-        The weights of the second and third corner are sx (column - x) + sy y and tx (column - x) + ty y.
-    inverse : (float, float, float)
-        Of sx, tx and -(sx + tx); 0 for that of 0.
-    last : int
-        Last column of the image.
+    x : float
+        Column of the triangle's first corner.
+    weight, across, down : float
+        The weight at that corner, and by how much it grows from column to column, and from row to row.
+
+    Returns
+    -------
+    (float, float, float, float)
+        The first column in the corner's row, and by how much it grows from row to row; the same of the last.
     """
-    low, high = 0.0, float(last)
-    second, third = weights[1] * y, weights[3] * y
-    # Each weight, that of the first corner last, is at least 0: bound + (column - x) / inverse >= 0.
-    for side in range(3):
-        bound = second if side == 0 else third if side == 1 else 1.0 - second - third
-        if inverse[side] > 0.0:
-            low = max(low, x - bound * inverse[side])
-        elif inverse[side] < 0.0:
-            high = min(high, x - bound * inverse[side])
-        elif bound < 0.0:
-            high = -1.0
-    return math.ceil(low - 1e-6), math.floor(high + 1e-6)
-
-
-@compiled("float64(float64)")
-def inverse_of(number: float) -> float:
-    """Return the inverse, or 0 of 0."""
-    return 1.0 / number if number != 0.0 else 0.0
+    if across > 0.0:
+        return x - weight / across, -down / across, math.inf, 0.0
+    if across < 0.0:
+        return -math.inf, 0.0, x - weight / across, -down / across
+    # Along the row: the rows between the triangle's highest and lowest corner are on the right side of it.
+    return -math.inf, 0.0, math.inf, 0.0
 
 
 @inlined
 def triangle_on(
-    pixels: Floats, faces: Numbers, face: int, rows: int
-) -> tuple[Singles, Singles, tuple[float, ...], Singles, tuple[int, int]]:
+    pixels: Floats, faces: Numbers, face: int, rows: int, away: int
+) -> tuple[float, float, Weights, tuple[int, int]]:
     """Return what is the same for all pixels of a triangle.
 
     Parameters
     ----------
-    pixels, faces
+    pixels, faces, away
         As of `fill_depth`.
     face : int
         Its number.
@@ -101,34 +113,47 @@ def triangle_on(
 
     Returns
     -------
-    first : (column, row, nearness)
-        Of its first corner.
-    weights, inverse
-        As of `covered_columns`.
-    slopes : (float, float)
-        By how much the nearness grows from column to column, and from row to row.
+    x, y : float
+        Column and row of its first corner.
+    weights : (sx, sy, tx, ty)
+        The weights of the second and third corner are sx (column - x) + sy (row - y), and so for t.
     span : (int, int)
-        The first and the last row in which it may be; the last is before the first where it covers nothing.
+        The first and the last row in which it may be; the last is before the first where nothing is drawn.
     """
     a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-    x0, y0, near0 = pixels[a, 0], pixels[a, 1], pixels[a, 2]
-    ux, uy = pixels[b, 0] - x0, pixels[b, 1] - y0
-    vx, vy = pixels[c, 0] - x0, pixels[c, 1] - y0
+    # In double precision, in which products of single numbers are exact.
+    x, y = float(pixels[a, 0]), float(pixels[a, 1])
+    ux, uy = pixels[b, 0] - x, pixels[b, 1] - y
+    vx, vy = pixels[c, 0] - x, pixels[c, 1] - y
     area = ux * vy - uy * vx
-    if not abs(area) > 1e-9:  # also NaN
-        zero = np.float32(0.0)  # in single precision, which everything else is computed in, too
-        return (x0, y0, near0), (zero, zero, zero, zero), (0.0, 0.0, 0.0), (zero, zero), (0, -1)
-    sx, sy, tx, ty = vy / area, -vx / area, -uy / area, ux / area
-    inverse = (inverse_of(sx), inverse_of(tx), inverse_of(-sx - tx))
-    n1, n2 = pixels[b, 2] - pixels[a, 2], pixels[c, 2] - pixels[a, 2]
-    slopes = (sx * n1 + tx * n2, sy * n1 + ty * n2)
-    top = math.ceil(max(0.0, y0 + min(0.0, uy, vy)))
-    bottom = math.floor(min(rows - 1.0, y0 + max(0.0, uy, vy)))
-    return (x0, y0, near0), (sx, sy, tx, ty), inverse, slopes, (top, bottom)
+    if not abs(area) > 1e-9 or area * away > 0.0:  # also NaN
+        return x, y, (0.0, 0.0, 0.0, 0.0), (0, -1)
+    top = math.ceil(max(0.0, y + min(0.0, uy, vy)))
+    bottom = math.floor(min(rows - 1.0, y + max(0.0, uy, vy)))
+    return x, y, (vy / area, -vx / area, -uy / area, ux / area), (top, bottom)
 
 
-@compiled("void(float32[:,::1], int32[:,::1], float32[:,::1])")
-def fill_depth(pixels: Floats, faces: Numbers, nearness: Floats) -> None:
+@inlined
+def edges_on(x: float, weights: Weights) -> tuple[Weights, Weights, Weights]:
+    """Return the three sides of a triangle, each as `columns_inside`."""
+    sx, sy, tx, ty = weights
+    return (
+        columns_inside(x, 0.0, sx, sy),
+        columns_inside(x, 0.0, tx, ty),
+        columns_inside(x, 1.0, -sx - tx, -sy - ty),
+    )
+
+
+@inlined
+def plane_on(values: Floats, corners: tuple[int, int, int], column: int, weights: Weights) -> Plane:
+    """Return a value at a triangle's first corner, and by how much it grows from column to column and row to row."""
+    first = float(values[corners[0], column])
+    second, third = values[corners[1], column] - first, values[corners[2], column] - first
+    return first, weights[0] * second + weights[2] * third, weights[1] * second + weights[3] * third
+
+
+@compiled("void(float32[:,::1], int32[:,::1], int32, float32[:,::1])")
+def fill_depth(pixels: Floats, faces: Numbers, away: int, nearness: Floats) -> None:
     """Draw triangles into a depth buffer.
 
     Parameters
@@ -136,60 +161,84 @@ def fill_depth(pixels: Floats, faces: Numbers, nearness: Floats) -> None:
     pixels : (n, 3)
         Column, row (pixels) and nearness (1/m) of the vertices; triangles with a corner that is NaN are left out.
     faces : (m, 3)
+    away : int
+        Sign of the area, on the image, of triangles that are left out because they face away; 0 for none.
     nearness : (rows, columns)
         Of what was drawn before; nearer triangles overwrite it.
     """
     rows, columns = nearness.shape
     for face in range(faces.shape[0]):
-        (x0, y0, near0), weights, inverse, (across, down), (top, bottom) = triangle_on(
-            pixels, faces, face, rows
-        )
+        x, y, weights, (top, bottom) = triangle_on(pixels, faces, face, rows, away)
+        if bottom < top:
+            continue
+        one, two, three = edges_on(x, weights)
+        corners = (faces[face, 0], faces[face, 1], faces[face, 2])
+        start, across, down = plane_on(pixels, corners, 2, weights)
         for row in range(top, bottom + 1):
-            first, last = covered_columns(x0, row - y0, weights, inverse, columns - 1)
-            start = near0 + down * (row - y0) - across * x0
+            dy = row - y
+            low = max(one[0] + one[1] * dy, two[0] + two[1] * dy, three[0] + three[1] * dy, 0.0)
+            high = min(one[2] + one[3] * dy, two[2] + two[3] * dy, three[2] + three[3] * dy, columns - 1.0)
+            first, last = math.ceil(low - _TOUCHED), math.floor(high + _TOUCHED)
+            near = start + across * (first - x) + down * dy
             for column in range(first, last + 1):
-                near = start + across * column
                 if near > nearness[row, column]:
                     nearness[row, column] = near
+                near += across
 
 
 @compiled(
-    "void(float32[:,::1], int32[:,::1], float32[:,::1], uint8, uint8[:,::1], float32[:,::1], float32[:,:,::1])"
+    "void(float32[:,::1], int32[:,::1], int32, float32[:,::1], uint8, uint8[:,::1], float32[:,::1],"
+    " float32[:,::1], float32[:,::1])"
 )
 def fill_triangles(
-    pixels: Floats, faces: Numbers, values: Floats, label: int, labels: Bytes, nearness: Floats, drawn: Floats
+    pixels: Floats,
+    faces: Numbers,
+    away: int,
+    values: Floats,
+    label: int,
+    labels: Bytes,
+    nearness: Floats,
+    shade: Floats,
+    sigma: Floats,
 ) -> None:
     """Draw triangles with values into a depth buffer, as `fill_depth`.
 
     Parameters
     ----------
-    pixels, faces, nearness
+    pixels, faces, away, nearness
         As of `fill_depth`.
     values : (n, 2)
-        Of the vertices.
+        Shade and standard deviation of the vertices.
     label : int
-        Written to `labels` (rows, columns) where the triangles are nearest.
-    drawn : (rows, columns, 2)
-        Gets the values there.
+        Written to `labels` (rows, columns) where the triangles are nearest; nearness counts where there is a label.
+    shade, sigma : (rows, columns)
+        Get the values there.
     """
     rows, columns = nearness.shape
     for face in range(faces.shape[0]):
-        (x0, y0, near0), weights, inverse, (across, down), (top, bottom) = triangle_on(
-            pixels, faces, face, rows
-        )
-        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-        sx, sy, tx, ty = weights
+        x, y, weights, (top, bottom) = triangle_on(pixels, faces, face, rows, away)
+        if bottom < top:
+            continue
+        one, two, three = edges_on(x, weights)
+        corners = (faces[face, 0], faces[face, 1], faces[face, 2])
+        near0, near_across, near_down = plane_on(pixels, corners, 2, weights)
+        shade0, shade_across, shade_down = plane_on(values, corners, 0, weights)
+        sigma0, sigma_across, sigma_down = plane_on(values, corners, 1, weights)
         for row in range(top, bottom + 1):
-            first, last = covered_columns(x0, row - y0, weights, inverse, columns - 1)
-            start = near0 + down * (row - y0) - across * x0
+            dy = row - y
+            low = max(one[0] + one[1] * dy, two[0] + two[1] * dy, three[0] + three[1] * dy, 0.0)
+            high = min(one[2] + one[3] * dy, two[2] + two[3] * dy, three[2] + three[3] * dy, columns - 1.0)
+            first, last = math.ceil(low - _TOUCHED), math.floor(high + _TOUCHED)
+            dx = first - x
+            near = near0 + near_across * dx + near_down * dy
+            light = shade0 + shade_across * dx + shade_down * dy
+            wide = sigma0 + sigma_across * dx + sigma_down * dy
             for column in range(first, last + 1):
-                near = start + across * column
-                if near > nearness[row, column]:
+                if labels[row, column] == 0 or near > nearness[row, column]:
                     nearness[row, column] = near
                     labels[row, column] = label
-                    s = sx * (column - x0) + sy * (row - y0)
-                    t = tx * (column - x0) + ty * (row - y0)
-                    for k in range(2):
-                        drawn[row, column, k] = (
-                            (1.0 - s - t) * values[a, k] + s * values[b, k] + t * values[c, k]
-                        )
+                    shade[row, column] = light
+                    sigma[row, column] = wide
+                near += near_across
+                light += shade_across
+                wide += sigma_across

@@ -1,11 +1,13 @@
 """The structures of an organ as a picture needs them: names, kinds, colours and triangles."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.view.shells import shells_of
 
 FloatArray = NDArray[np.float64]
 Numbers = NDArray[np.int32]
@@ -41,6 +43,16 @@ class Structures:
     def part(self, number: int) -> slice:
         """Rows of a structure."""
         return slice(int(self.first_vertex[number]), int(self.first_vertex[number + 1]))
+
+    @cached_property
+    def shells(self) -> tuple[Numbers, ...]:
+        """Of each structure the shell, (m,), to which each of its triangles belongs (`shells_of`)."""
+        return tuple(shells_of(faces) for faces in self.faces)
+
+    @cached_property
+    def surface_shells(self) -> Numbers:
+        """The same of the organ's surface."""
+        return shells_of(self.surface_faces)
 
     def misfit(self, points: FloatArray) -> str:
         """Say why the rows of an answer, (n, 3), are not those of the structures; empty if they are."""

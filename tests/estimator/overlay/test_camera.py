@@ -49,6 +49,18 @@ def test_pixels_are_those_of_the_models_formula(model):
     np.testing.assert_array_equal(found[:, 2], points[:, 2])
 
 
+@pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
+def test_all_coefficients_are_opencvs(count):
+    """Also of thin prisms, and of a tilted sensor."""
+    d = [-0.25, 0.08, 0.001, -0.002, 0.01, 0.05, -0.02, 0.01, 0.003, -0.001, 0.002, 0.004, 0.02, -0.03][
+        :count
+    ]
+    model = "plumb_bob" if count < 8 else "rational_polynomial"
+    points = np.random.default_rng(0).uniform([-0.05, -0.04, 0.1], [0.05, 0.04, 0.2], (200, 3))
+    found = make_camera((640, 480), MATRIX, model, d).project(points)
+    np.testing.assert_allclose(found[:, :2], by_opencv(model, d, points), atol=1e-9)
+
+
 @pytest.mark.parametrize("model", LENSES)
 @pytest.mark.parametrize("place", [(0.0, 0.0), (0.05, 0.02), (-0.052, -0.037), (0.03, -0.039)])
 def test_what_is_drawn_lies_where_opencv_projects_it(model, place):

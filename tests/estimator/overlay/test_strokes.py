@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softtissue_estimator.overlay.strokes import draw_contour, draw_disc
+from softtissue_estimator.overlay.strokes import KEYS, draw_band, draw_contour, draw_disc, lay_bands
 
 
 def plainly(cover, owner, row, column, radius, strength, label):
@@ -46,3 +46,26 @@ def test_contour_of_a_part_is_that_of_the_whole(dashes):
     assert (drawn[0][1] == 3).sum() > 100
     np.testing.assert_array_equal(drawn[1][0], drawn[0][0])
     np.testing.assert_array_equal(drawn[1][1], drawn[0][1])
+
+
+@pytest.mark.parametrize("shift", [0, 1])
+def test_bands_cover_what_discs_do(shift):
+    """In pixels twice as large: those whose middle is in a disc."""
+    rng = np.random.default_rng(0)
+    band = np.zeros(((61 >> shift) + 1, (71 >> shift) + 1), np.uint32)
+    size, (rows, columns) = 1 << shift, np.indices(band.shape)
+    expected, owners = np.zeros(band.shape), np.zeros(band.shape, int)
+    for label in range(1, 60):
+        row, column, radius = int(rng.integers(61)), int(rng.integers(71)), rng.uniform(0.5, 15.0)
+        strength = label / 64.0
+        draw_band(band, row, column, radius, np.uint32(KEYS * strength) << 8 | label, shift)
+        middle = 0.5 * (size - 1)
+        inside = (size * rows + middle - row) ** 2 + (size * columns + middle - column) ** 2 <= radius**2
+        expected[inside], owners[inside] = strength, label
+    cover, owner = rng.uniform(size=(61, 71)).astype(np.float32), np.zeros((61, 71), np.uint8)
+    owner[::3] = 200
+    before, whose = np.where(owner > 0, cover, 0.0), owner.copy()
+    lay_bands(band, shift, cover, owner)
+    fine, of = (table.repeat(size, 0).repeat(size, 1)[:61, :71] for table in (expected, owners))
+    np.testing.assert_allclose(np.where(owner > 0, cover, 0.0), np.maximum(before, fine), atol=1e-6)
+    np.testing.assert_array_equal(owner, np.where(fine > before, of, whose))
