@@ -132,9 +132,12 @@ class ElasticEstimator(Estimator):
     def _estimate(self, observation: Observation | BareCloud, model: ElasticModel) -> ElasticEstimate:
         watch = device_stopwatch(self._device)
         if self._tracker is not None:
-            self._tracker.catch_up(observation.stamp_s)
+            self._tracker.begin(observation.stamp_s)
         tracks = self._tracks
         seen, motion, outliers = self._seen(observation, model, tracks, watch)
+        if self._tracker is not None:
+            self._tracker.catch_up()
+            watch.lap("wait")
         expected = replace(model.registration, scales=seen.registration_scales)
         if observation.registration_covariance is not None:
             expected = told_error(model.organ.centre, observation.registration_covariance)

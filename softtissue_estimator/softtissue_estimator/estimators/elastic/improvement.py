@@ -32,6 +32,8 @@ EXTRA_S = 0.1
 """What the variance of what is hidden is given, and what else may be wrong."""
 FIRST_STEPS = 4
 """Of these in the first step about a rigid motion."""
+_LEAST_FRAMES = 3  # that are answered with a step at least: on a busy machine frames wait for it
+_JITTER_S = 0.01  # of stamps
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +77,12 @@ class Task:
         """Raise CancelledError where the step is given up."""
         if self.given_up.is_set():
             raise CancelledError
+
+    def is_due(self, stamp_s: float, frames: int) -> bool:
+        """Tell whether an observation, so many frames after this one, takes over what is made of it."""
+        passed_s = stamp_s - self.stamp_s
+        # Where few frames are answered, each step serves some of them; stamps may stand still or go back.
+        return frames >= _LEAST_FRAMES and not 0.0 < passed_s < self.given_s - _JITTER_S
 
     @property
     def given_s(self) -> float:

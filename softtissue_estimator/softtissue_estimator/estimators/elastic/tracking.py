@@ -27,9 +27,7 @@ from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.estimators.elastic.suppositions import likeliest_scale
 
 _log = logging.getLogger(__name__)
-_LEAST_FRAMES = 3  # that are answered with a step at least: on a busy machine frames wait for it
 UNSTAMPED_S = 0.1  # between two observations that do not say when they were made
-_JITTER_S = 0.01  # of stamps
 _LEAST_VARIANCE_SHARE = 1e-3  # of the largest: with less no load starts a step of the thread
 _NICENESS = 10  # of the thread: frames come first
 _STILL_DISTANCE_M = 0.001  # an organ that has moved by less since it was made linear is so nearly enough
@@ -69,7 +67,7 @@ class ElasticTracker:
 
     @property
     def now_s(self) -> float:
-        """When the newest observation was made, as `catch_up` was told."""
+        """When the newest observation was made, as `begin` was told."""
         with self._lock:
             return self._stamp_s
 
@@ -94,8 +92,8 @@ class ElasticTracker:
             known = self._known.registration
             return Troubles(lost, self._innovations.surprising, known is not None and known.moved)
 
-    def catch_up(self, stamp_s: float | None) -> None:
-        """Take over what the thread has made, as of an observation that is to be answered next.
+    def begin(self, stamp_s: float | None) -> None:
+        """Note that an observation is to be answered next.
 
         Parameters
         ----------
@@ -105,8 +103,12 @@ class ElasticTracker:
         with self._lock:
             self._stamp_s = self._stamp_s + UNSTAMPED_S if stamp_s is None else stamp_s
             self._frames += 1
+
+    def catch_up(self) -> None:
+        """Take over what the thread has made for the observation that has begun, or wait for it."""
+        with self._lock:
             pending = self._pending
-            if pending is None or not _is_due(pending[0], self._stamp_s, self._frames):
+            if pending is None or not pending[0].is_due(self._stamp_s, self._frames):
                 return
         task, future = pending
         try:
@@ -138,7 +140,7 @@ class ElasticTracker:
             self._known = replace(self._known, memory=memory)
 
     def answer(self, solver: Solver) -> Posterior:
-        """Explain the observation that `catch_up` was called for.
+        """Explain the observation that has begun.
 
         Raises
         ------
@@ -274,14 +276,6 @@ class ElasticTracker:
         with self._lock:
             self._closed = True
         self._executor.shutdown(wait=False, cancel_futures=True)
-
-
-def _is_due(task: Task, stamp_s: float, frames: int) -> bool:
-    """Tell whether an observation, so many frames after another one, takes over what the thread makes of that."""
-    passed_s = stamp_s - task.stamp_s
-    # Where few frames are answered, each step serves some of them; stamps may stand still or go back.
-    enough = frames >= _LEAST_FRAMES
-    return enough and not 0.0 < passed_s < task.given_s - _JITTER_S
 
 
 def _step_back() -> None:
