@@ -49,6 +49,10 @@ IMAGES = {
     ),
     "camera_info": ("camera_info", "for overlay and viewer: how the camera maps"),
 }
+# Of the overlay alone.
+MASKS = {
+    "instrument_mask": ("instrument_mask", "for the overlay: where instruments are, which nothing covers")
+}
 TRUE, FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
 
@@ -101,7 +105,7 @@ def rviz_configuration(given: dict[str, str]) -> Path:
 
 def overlay(given: dict[str, str]) -> Node:
     """Describe the overlay, which draws the answers of the node on a camera's images."""
-    topics = {topic: given[name] for name, (topic, _) in TOPICS.items() if name != "points"}
+    topics = {topic: given[name] for name, (topic, _) in (TOPICS | MASKS).items() if name != "points"}
     return listener("overlay", given, topics | images(given))
 
 
@@ -143,7 +147,18 @@ LISTENERS = {"overlay": overlay, "viewer": viewer, "igtl_bridge": igtl_bridge}
 
 def processes(context: LaunchContext) -> list[Node]:
     """Describe the processes from the arguments as given; whatever is wrong is said before one of them starts."""
-    names = (*PARAMETERS, *TOPICS, *IMAGES, "params", "namespace", "name", "log_level", "respawn", "rviz")
+    names = (
+        *PARAMETERS,
+        *TOPICS,
+        *IMAGES,
+        *MASKS,
+        "params",
+        "namespace",
+        "name",
+        "log_level",
+        "respawn",
+        "rviz",
+    )
     names = (*names, *LISTENERS, *(f"{name}_params" for name in LISTENERS))
     given = {name: LaunchConfiguration(name).perform(context) for name in names}
     for name in ("params", *(f"{name}_params" for name in LISTENERS)):
@@ -184,7 +199,7 @@ def generate_launch_description() -> LaunchDescription:
     actions = [DeclareLaunchArgument(n, default_value="", description=text) for n, text in PARAMETERS.items()]
     actions += [
         DeclareLaunchArgument(name, default_value=topic, description=text)
-        for name, (topic, text) in (TOPICS | IMAGES).items()
+        for name, (topic, text) in (TOPICS | IMAGES | MASKS).items()
     ]
     others = {
         "params": (str(share() / "config" / "softtissue_estimator.yaml"), "YAML file of parameters"),

@@ -37,7 +37,8 @@ _COLUMNS, _ROWS, _FOCAL = 160, 120, 150.0
 _STAMP = 10**18
 _IMAGES = ("image", "jpeg", "png")
 SAID = ("structures", "camera_info", "status", "registration", "deformed_points", "deformed_surface")
-_KINDS = (*_IMAGES * 3, "camera_info", "camera_info", *SAID)
+_KEPT = (*SAID, "instrument_mask")  # until an image comes
+_KINDS = (*_IMAGES * 3, "camera_info", "camera_info", *_KEPT)
 _ENCODINGS = (
     "rgb8", "bgr8", "rgba8", "bgra8", "mono8", "8UC1", "8UC3", "yuv422", "uyvy", "yuyv", "yuv422_yuy2", "mono16", "",
     "32FC1", "bayer_rggb8", "x" * 5000, "\x1b[2J",
@@ -74,7 +75,7 @@ class Images(WholeNode):
         """Give a message to the overlay, and draw if it is no image itself."""
         self._node.forget()
         image = message
-        if kind in SAID:
+        if kind in _KEPT:
             self._subscriptions[kind].callback(message)
             image = self.good("image")
         self._node.draw(image)
@@ -87,7 +88,7 @@ class Images(WholeNode):
         )
 
     def _drawn_well(self) -> np.ndarray:
-        for kind in SAID:
+        for kind in _KEPT:
             self._subscriptions[kind].callback(self.good(kind))
         self._node.forget()
         self._node.draw(self.good("image"))
@@ -126,6 +127,10 @@ def good_message(kind: str, organ: Any) -> Any:
         image = Image(
             width=_COLUMNS, height=_ROWS, encoding="bgr8", step=3 * _COLUMNS, data=_plain().tobytes()
         )
+    elif kind == "instrument_mask":
+        marked = np.zeros((_ROWS, _COLUMNS), np.uint8)
+        marked[:, : _COLUMNS // 3] = 1
+        image = Image(width=_COLUMNS, height=_ROWS, encoding="mono8", step=_COLUMNS, data=marked.tobytes())
     else:
         suffix = {"jpeg": ".jpg", "png": ".png"}[kind]
         image = CompressedImage(format=kind, data=cv2.imencode(suffix, _plain())[1].tobytes())

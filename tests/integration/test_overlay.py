@@ -39,6 +39,7 @@ class Theatre(PlainClient):
         publish, node = self.node.create_publisher, self.node
         self.images = publish(Image, "image", 10)
         self.cameras = publish(CameraInfo, "camera_info", 10)
+        self.masks = publish(Image, "instrument_mask", 10)
         self.answers = publish(PointCloud2, f"{ESTIMATOR}/deformed_points", 10)
         self.poses = publish(PoseWithCovarianceStamped, f"{ESTIMATOR}/registration", 10)
         self.statuses = publish(EstimatorStatus, f"{ESTIMATOR}/status", kept)
@@ -46,6 +47,7 @@ class Theatre(PlainClient):
         self.publishers = [
             self.images,
             self.cameras,
+            self.masks,
             self.answers,
             self.poses,
             self.statuses,
@@ -216,6 +218,26 @@ def test_image_that_cannot_be_used_gets_a_sentence_and_the_next_is_drawn(theatre
     theatre.wait(said, words)
     theatre.answer()
     assert drawn(theatre.see()).any()
+
+
+def test_nothing_is_drawn_on_instruments_while_somebody_says_where_they_are(theatre):
+    theatre.answer()
+    before = drawn(theatre.see())
+    columns = np.flatnonzero(before.any(axis=0))
+    middle = (columns[0] + columns[-1]) // 2
+    marked = np.zeros((480, 640), np.uint8)
+    marked[:, middle:] = 1
+    message = theatre.image(encoding="mono8", step=640, data=marked.tobytes())
+    theatre.masks.publish(message)
+    theatre.spin(0.3)
+    image = theatre.see()
+    np.testing.assert_array_equal(drawn(image)[:, :middle], before[:, :middle])
+    np.testing.assert_array_equal(image[:, middle:], GREY)
+    theatre.stamp += int(0.4 * S)
+    assert drawn(theatre.see())[:, middle:].any()
+    theatre.log.wait_for_text(
+        "mask: expected one within 0.2 s of the image (maximum_mask_age_s), got one 0.40 s"
+    )
 
 
 def test_image_of_another_size_than_the_cameras_is_passed_on_with_a_sentence(theatre):

@@ -151,7 +151,8 @@ def test_roles_together_reach_all_that_the_node_offers_and_each_its_own_alone():
     def who(act: str, name: str) -> set[str]:
         return {role for role in ROLES if may(role, act, name)}
 
-    for topic in ("/surface_points", "/correspondences", "/camera_pose", "/image", "/camera_info", "/tool"):
+    images = ("/image", "/camera_info", "/instrument_mask")
+    for topic in ("/surface_points", "/correspondences", "/camera_pose", *images, "/tool"):
         assert who("publish", topic) == {"tracker"}
     for topic in ("/registration", "/registration_with_covariance"):
         assert who("publish", topic) == {"registration"}

@@ -107,6 +107,7 @@ def test_overlay_draws_the_answers_of_the_node_on_the_cameras_images(launch_file
         "image": "/scope/left",
         "image/compressed": "/scope/left/compressed",
         "camera_info": "camera_info",
+        "instrument_mask": "instrument_mask",
         "correspondences": "correspondences",
         "registration": "registration",
         "registration_with_covariance": "registration_with_covariance",

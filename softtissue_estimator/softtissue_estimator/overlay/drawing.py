@@ -42,6 +42,10 @@ class Window:
         """Rows and columns."""
         return self.rows, self.columns
 
+    def of(self, image: Image) -> Image:
+        """View the part of an image, (rows, columns) or (rows, columns, channels)."""
+        return image[self.top : self.top + self.rows, self.left : self.left + self.columns]
+
 
 class Drawing:
     """Buffers of a window, and what is drawn into them. It holds until the next one is made with the same `Buffers`."""
@@ -144,10 +148,9 @@ class Drawing:
         """Mix everything with an image; `colours` (s, 3), 0 to 1, in its order."""
         table = np.zeros((len(colours) + 1, 3), np.float32)
         table[1:] = 255.0 * colours
-        window = self._window
-        part = image[window.top : window.top + window.rows, window.left : window.left + window.columns]
+        part = self._window.of(image)
         # A channel's pixels side by side are mixed many at a time.
-        planes = self._buffers.empty("planes", (3, *window.shape), np.uint8)
+        planes = self._buffers.empty("planes", (3, *self._window.shape), np.uint8)
         cv2.split(part, list(planes))
         mix(planes, self._labels, self._strength, self._shade, self._cover, self._owner, table)
         cv2.merge(list(planes), part)

@@ -19,6 +19,7 @@ from softtissue_estimator.overlay.drawing import (
 )
 from softtissue_estimator.overlay.facing import away_sign
 from softtissue_estimator.overlay.labels import Label, write_labels
+from softtissue_estimator.overlay.libraries import cv2
 from softtissue_estimator.overlay.rasteriser import find_shades, vertex_normals
 from softtissue_estimator.overlay.scene import Order, Placed
 from softtissue_estimator.view.structures import FloatArray, Numbers, Structures
@@ -56,6 +57,7 @@ def paint(
     margin_m: float = 0.0,
     names: bool = True,
     names_below: int = 0,
+    spared: Image | None = None,
     buffers: Buffers | None = None,
 ) -> list[Outlined]:
     """Draw structures on an image.
@@ -79,6 +81,8 @@ def paint(
         Whether names and depths are written, where there is place.
     names_below : int
         Row above which no name is written.
+    spared : (rows, columns) uint8, optional
+        Nothing is drawn on pixels where it is not 0: what they show is nearer than the organ.
     buffers : Buffers, optional
         Memory of the image before, which is taken again.
 
@@ -97,6 +101,7 @@ def paint(
         margin_m=margin_m,
         names=names,
         names_below=names_below,
+        spared=spared,
     )
 
 
@@ -135,6 +140,7 @@ class Painter:
         margin_m: float = 0.0,
         names: bool = True,
         names_below: int = 0,
+        spared: Image | None = None,
     ) -> list[Outlined]:
         """See `paint`; camera, structures and where these are count as the same where they are the same objects."""
         wanted = (camera, structures, placed)
@@ -146,7 +152,7 @@ class Painter:
         if self._prepared is None:
             return []
         colours = structures.colours if order == "rgb" else structures.colours[:, ::-1]
-        return _put(image, self._prepared, colours, names, names_below)
+        return _put(image, self._prepared, colours, names, names_below, spared)
 
 
 def _prepare(
@@ -189,11 +195,27 @@ def _prepare(
 
 
 def _put(
-    image: Image, prepared: _Prepared, colours: FloatArray, names: bool, names_below: int
+    image: Image,
+    prepared: _Prepared,
+    colours: FloatArray,
+    names: bool,
+    names_below: int,
+    spared: Image | None,
 ) -> list[Outlined]:
     """Mix what was drawn with an image, and write the names; `colours` (s, 3), 0 to 1, in its order."""
     window, extents = prepared.window, prepared.extents
-    prepared.drawing.onto(image, colours)
+    covered, corner = prepared.drawing.covered, (window.left, window.top)
+    if spared is None:
+        prepared.drawing.onto(image, colours)
+    else:
+        part = window.of(image)
+        before = part.copy()
+        prepared.drawing.onto(image, colours)
+        cv2.copyTo(before, window.of(spared), part)
+        # Names may be written beside the window, too.
+        whole = spared.copy()
+        window.of(whole)[:] |= covered
+        covered, corner = whole, (0, 0)
     if names:
         labels = [
             Label(
@@ -202,7 +224,7 @@ def _put(
             for n, (one, c) in enumerate(zip(prepared.outlined, colours, strict=True))
             if one.pixels
         ]
-        write_labels(image, labels, (window.left, window.top), prepared.drawing.covered, names_below)
+        write_labels(image, labels, corner, covered, names_below)
     return [one for one in prepared.outlined if one.pixels]
 
 

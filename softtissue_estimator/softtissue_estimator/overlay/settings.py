@@ -40,6 +40,12 @@ class OverlaySettings:
         unit="s",
         limits=(0.01, 60.0),
     )
+    maximum_mask_age_s: float = setting(
+        0.2,
+        "A mask of instruments that is older than this, or by as much younger, than the image does not count.",
+        unit="s",
+        limits=(0.001, 60.0),
+    )
     margin_mm: float = setting(
         10.0,
         "Width of the margin round tumours whose contour is drawn; 0: none.",

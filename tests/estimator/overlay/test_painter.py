@@ -48,6 +48,38 @@ def test_outline_is_that_of_the_sphere():
     np.testing.assert_array_equal(image[:10], GREY)
 
 
+@pytest.mark.parametrize("times", [1, 2])
+def test_what_is_spared_stays_as_it_is_and_the_rest_is_drawn(times):
+    """Also where nothing has changed since the image before."""
+    structures, placed = balls([(0.0, 0.0, 0.15)], [0.02])
+    rng = np.random.default_rng(5)
+    before = rng.integers(0, 255, (480, 640, 3), dtype=np.uint8)
+    spared = np.zeros((480, 640), np.uint8)
+    spared[:, 300:350] = 255
+    painter_ = painter.Painter(Buffers())
+    for _ in range(times):
+        image, whole = before.copy(), before.copy()
+        painter_.paint(image, CAMERA, structures, placed, names=False, spared=spared)
+    paint(whole, CAMERA, structures, placed, names=False)
+    assert (whole != before)[:, 300:350].any()
+    np.testing.assert_array_equal(image, np.where(spared[..., None] > 0, before, whole))
+
+
+def test_names_cover_nothing_that_is_spared():
+    structures, placed = balls([(0.0, 0.0, 0.15)], [0.02])
+    plain, kept = picture(), picture()
+    paint(plain, CAMERA, structures, placed)
+    unnamed = picture()
+    paint(unnamed, CAMERA, structures, placed, names=False)
+    name = (plain != unnamed).any(axis=2)
+    assert name.any()
+    spared = np.where(name, np.uint8(255), np.uint8(0))
+    (shown,) = paint(kept, CAMERA, structures, placed, spared=spared)
+    np.testing.assert_array_equal(kept[name], GREY)
+    moved = (kept != unnamed).any(axis=2)
+    assert shown.pixels and moved.any() and not (moved & name).any()
+
+
 def test_sigma_is_half_the_width_of_the_band():
     thin, wide = picture(), picture()
     for image, sigma in ((thin, 0.0), (wide, 0.003)):

@@ -11,7 +11,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, RegionOfInterest
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_estimator.ros.inputs.images import read_camera, read_compressed_image, read_image
+from softtissue_estimator.ros.inputs.images import read_camera, read_compressed_image, read_image, read_mask
 from softtissue_estimator.ros.overlay.images import ImageBuffer, compressed_message
 
 RED = np.array([200, 30, 40], np.uint8)  # red, green, blue
@@ -47,6 +47,18 @@ def test_colours_of_every_encoding(encoding, pixel, order, padding):
 @pytest.mark.parametrize("encoding", ["mono8", "8UC1"])
 def test_grey_images(encoding):
     np.testing.assert_array_equal(read_image(message(encoding, [90, 90])).pixels[1, 1], [90, 90, 90])
+
+
+@pytest.mark.parametrize("encoding", ["mono8", "8UC1"])
+def test_masks_mark_every_pixel_that_is_not_0(encoding):
+    stamp_ns, marked = read_mask(message(encoding, [0, 1], padding=5))
+    assert stamp_ns == 7_000_000_009
+    np.testing.assert_array_equal(marked, np.tile(np.uint8([0, 255]), (3, 2)))
+
+
+def test_mask_of_colours_is_refused():
+    with pytest.raises(InvalidInputError, match="mask: expected an encoding of mono8, 8UC1, got 'rgb8'"):
+        read_mask(message("rgb8", [0] * 6))
 
 
 @pytest.mark.parametrize(("encoding", "order"), [("yuv422", "UYVY"), ("yuv422_yuy2", "YUYV")])

@@ -1,5 +1,6 @@
 """Images of messages to arrays and back, and cameras of `camera_info`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,7 @@ _ENCODINGS: dict[str, tuple[int, Order, int | None]] = {
     "yuv422_yuy2": (2, "bgr", cv2.COLOR_YUV2BGR_YUY2),
     "yuyv": (2, "bgr", cv2.COLOR_YUV2BGR_YUY2),
 }
+_MASKS = ("mono8", "8UC1")
 # How the files begin that are decoded: each further format would be further code that reads what anybody sends.
 _FILES = {b"\xff\xd8\xff": "JPEG", b"\x89PNG\r\n\x1a\n": "PNG"}
 _PNG_START, _CHUNK_FRAME = 8, 12  # bytes of a PNG file's beginning, and of a chunk beside its content
@@ -63,32 +65,55 @@ def read_image(message: Image) -> Picture:
     InvalidInputError
         If its encoding is not known, its sizes contradict each other or its stamp is out of range.
     """
-    check_stamp(message.header.stamp, "image")
-    rows, columns, step = int(message.height), int(message.width), int(message.step)
-    if message.encoding not in _ENCODINGS:
-        raise InvalidInputError(
-            f"image: expected an encoding of {', '.join(_ENCODINGS)}, got {one_sentence(message.encoding, 40)!r}"
-        )
+    pixels = _pixels(message, "image", tuple(_ENCODINGS))
     size, order, conversion = _ENCODINGS[message.encoding]
-    if not (0 < rows <= LARGEST_SIDE and 0 < columns <= LARGEST_SIDE):
-        raise InvalidInputError(f"image: expected 1 to {LARGEST_SIDE} pixels a side, got {columns} x {rows}")
-    needed = (rows - 1) * step + columns * size
-    if step < columns * size or len(message.data) < needed:
+    if size == 2 and pixels.shape[1] % 2:
         raise InvalidInputError(
-            f"image: expected rows of at least {columns * size} bytes and {needed} bytes in all,"
-            f" got a step of {step} and {len(message.data)} bytes"
-        )
-    shape = (rows, columns) if size == 1 else (rows, columns, size)
-    pixels: Pixels = np.ndarray(
-        shape, dtype=np.uint8, buffer=message.data, strides=(step, size, 1)[: len(shape)]
-    )
-    if size == 2 and columns % 2:
-        raise InvalidInputError(
-            f"image: expected an even number of columns in {message.encoding}, got {columns}"
+            f"image: expected an even number of columns in {message.encoding}, got {pixels.shape[1]}"
         )
     if conversion is not None:
         pixels = np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), conversion), dtype=np.uint8)
     return Picture(pixels, order, message.header.frame_id, stamp_ns(message.header.stamp))
+
+
+def read_mask(message: Image) -> tuple[int, Pixels]:
+    """Read which pixels a segmentation has marked.
+
+    Returns
+    -------
+    stamp : int
+        Nanoseconds.
+    marked : (rows, columns) uint8
+        255 where a pixel is not 0, else 0.
+
+    Raises
+    ------
+    InvalidInputError
+        As `read_image`; if it has another encoding than one byte a pixel.
+    """
+    pixels = _pixels(message, "mask", _MASKS)
+    return stamp_ns(message.header.stamp), np.where(pixels > 0, np.uint8(255), np.uint8(0))
+
+
+def _pixels(message: Image, what: str, encodings: Sequence[str]) -> Pixels:
+    """View the bytes of an image's pixels, (rows, columns) or (rows, columns, bytes), in the message's own memory."""
+    check_stamp(message.header.stamp, what)
+    rows, columns, step = int(message.height), int(message.width), int(message.step)
+    if message.encoding not in encodings:
+        raise InvalidInputError(
+            f"{what}: expected an encoding of {', '.join(encodings)}, got {one_sentence(message.encoding, 40)!r}"
+        )
+    size = _ENCODINGS[message.encoding][0]
+    if not (0 < rows <= LARGEST_SIDE and 0 < columns <= LARGEST_SIDE):
+        raise InvalidInputError(f"{what}: expected 1 to {LARGEST_SIDE} pixels a side, got {columns} x {rows}")
+    needed = (rows - 1) * step + columns * size
+    if step < columns * size or len(message.data) < needed:
+        raise InvalidInputError(
+            f"{what}: expected rows of at least {columns * size} bytes and {needed} bytes in all,"
+            f" got a step of {step} and {len(message.data)} bytes"
+        )
+    shape = (rows, columns) if size == 1 else (rows, columns, size)
+    return np.ndarray(shape, dtype=np.uint8, buffer=message.data, strides=(step, size, 1)[: len(shape)])
 
 
 def read_compressed_image(message: CompressedImage) -> Picture:

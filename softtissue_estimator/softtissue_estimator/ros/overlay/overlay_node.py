@@ -28,6 +28,7 @@ from softtissue_estimator.ros.inputs.transforms import tf_source
 from softtissue_estimator.ros.listener_node import ANSWER_QOS, KEPT_QOS, SENSOR_QOS, ListenerNode
 from softtissue_estimator.ros.overlay.answers import KEPT, Answers, View
 from softtissue_estimator.ros.overlay.images import ImageBuffer, compressed_message
+from softtissue_estimator.ros.overlay.masks import Masks
 from softtissue_estimator.ros.overlay.program import PROGRAM
 from softtissue_estimator.support.latest_worker import LatestWorker
 
@@ -54,6 +55,7 @@ class OverlayNode(ListenerNode[OverlaySettings]):
         super().__init__(PROGRAM, FIXED, on_crash)
         registration = Registration(tf_source(self))
         self._answers = Answers(registration)
+        self._masks = Masks()
         self._camera_info: CameraInfo | None = None
         self._camera: tuple[CameraInfo, bool, Camera] | None = None
         self._buffer, self._painter = ImageBuffer(), Painter(Buffers())
@@ -77,6 +79,7 @@ class OverlayNode(ListenerNode[OverlaySettings]):
             self.listen(PointCloud2, f"{estimator}/deformed_points", answers.take_points, ANSWER_QOS),
             self.listen(PointCloud2, f"{estimator}/deformed_surface", answers.take_surface, ANSWER_QOS),
             self.listen(CameraInfo, "camera_info", self._take_camera, SENSOR_QOS),
+            self.listen(Image, "instrument_mask", self._masks.take, SENSOR_QOS),
         ]
         self._registrations = RegistrationTopics(
             self, registration, lambda: self._answers.organ_frame, self.boundary.warn
@@ -135,12 +138,21 @@ class OverlayNode(ListenerNode[OverlaySettings]):
                     margin_m=1e-3 * settings.margin_mm,
                     names=settings.names,
                     names_below=banner_rows(canvas, reason) if head else 0,
+                    spared=self._instruments(picture, settings.maximum_mask_age_s),
                 )
         if head:
             colour = _AMBER if head == "DEGRADED" else _RED
             write_banner(canvas, head, reason, colour if picture.order == "rgb" else colour[::-1])
             if head.startswith("NO "):
                 self.boundary.warn(f"{head.lower()}: {reason}")
+
+    def _instruments(self, picture: Picture, maximum_age_s: float) -> Pixels | None:
+        """Return where nothing is drawn on an image, (rows, columns); None where nobody says it of this one."""
+        try:
+            return self._masks.of(picture, maximum_age_s)
+        except InvalidInputError as error:
+            self.boundary.warn(str(error))
+            return None
 
     def _camera_of(self, picture: Picture, rectified: bool) -> Camera:
         """Return the camera of an image.
