@@ -76,7 +76,8 @@ class EstimatorConfig:
     tracking_patience_s: float = setting(
         0.02,
         "With tracking, how long an answer waits at most for what is found out between frames, where that takes longer "
-        "than on two idle cores. If it is never reached, the same clouds have the same answers. Used by 'elastic'.",
+        "than on two idle cores; answers come for it later from then on. If it is never reached, the same clouds have "
+        "the same answers. Used by 'elastic'.",
         unit="s",
         limits=(0.0, 3600.0),
     )

@@ -78,11 +78,18 @@ class Task:
         if self.given_up.is_set():
             raise CancelledError
 
-    def is_due(self, stamp_s: float, frames: int) -> bool:
-        """Tell whether an observation, so many frames after this one, takes over what is made of it."""
+    def passed(self, stamp_s: float) -> float:
+        """Return the time from this observation to a later one, over `given_s`."""
+        return (stamp_s - self.stamp_s) / self.given_s
+
+    def is_due(self, stamp_s: float, frames: int, share: float = 1.0) -> bool:
+        """Tell whether an observation, so many frames after this one, takes over what is made of it.
+
+        `share` is what the step is given on this machine over `given_s`.
+        """
         passed_s = stamp_s - self.stamp_s
         # Where few frames are answered, each step serves some of them; stamps may stand still or go back.
-        return frames >= _LEAST_FRAMES and not 0.0 < passed_s < self.given_s - _JITTER_S
+        return frames >= _LEAST_FRAMES and not 0.0 < passed_s < share * self.given_s - _JITTER_S
 
     @property
     def given_s(self) -> float:

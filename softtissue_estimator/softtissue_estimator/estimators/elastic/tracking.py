@@ -1,7 +1,8 @@
 """Answer a stream of observations: each about the state of the one before, which a thread improves meanwhile.
 
 What the thread makes of an observation is taken over by the first one made `Task.given_s` later, by the stamps of both,
-and waited for where it is not ready: with enough patience the same stream has the same answers on every machine.
+and waited for where it is not ready: with enough patience the same stream has the same answers on every machine. Where
+that is in vain, later steps are given longer (`Pace`).
 """
 
 import copy
@@ -20,6 +21,7 @@ from softtissue_estimator.estimators.elastic.doubts import Troubles
 from softtissue_estimator.estimators.elastic.improvement import Task, improve
 from softtissue_estimator.estimators.elastic.innovations import Innovations
 from softtissue_estimator.estimators.elastic.memory import Known, Memory, followed_from, reason_for_disbelief
+from softtissue_estimator.estimators.elastic.pace import Pace
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
@@ -60,6 +62,7 @@ class ElasticTracker:
         self._innovations = Innovations()
         self._pending: tuple[Task, Future[tuple[Posterior, WarmStart]]] | None = None
         self._stamp_s = 0.0  # of the newest observation
+        self._pace = Pace()
         self._frames = 0  # since the thread was given something
         self._closed = False
         # Threads of an executor are waited for when the interpreter ends: torch aborts where one is cut off.
@@ -108,15 +111,16 @@ class ElasticTracker:
         """Take over what the thread has made for the observation that has begun, or wait for it."""
         with self._lock:
             pending = self._pending
-            if pending is None or not pending[0].is_due(self._stamp_s, self._frames):
+            if pending is None or not pending[0].is_due(self._stamp_s, self._frames, self._pace.share):
                 return
         task, future = pending
         try:
-            better, state = future.result(self._patience_s)
+            better, state = future.result(0.0 if self._pace.late else self._patience_s)
         except CancelledError:
             return
         except Exception as error:
             if not future.done():
+                self._pace.waited_in_vain()
                 return  # the next observation asks again
             self._forget_after(error)
             return
@@ -124,6 +128,7 @@ class ElasticTracker:
             if self._pending is not pending:
                 return  # forgotten meanwhile
             self._pending = None
+            self._pace.taken_over(task.passed(self._stamp_s))
             if self._known.registration is task.registration:
                 task.registration.observe(better)
             memory = self._known.memory
@@ -242,6 +247,7 @@ class ElasticTracker:
     def _give_up(self) -> None:
         if self._pending is not None:
             self._pending[0].given_up.set()
+            self._pace.given_up()
         self._pending = None
 
     def _forget_after(self, error: Exception) -> None:

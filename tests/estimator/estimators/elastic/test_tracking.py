@@ -12,8 +12,10 @@ import torch
 from estimator.pushed_organ import pushed
 from estimator.shapes import ellipsoid, ellipsoid_tets, organ_of
 from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.estimators.elastic import tracking
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
 from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody
+from softtissue_estimator.estimators.elastic.improvement import improve
 from softtissue_estimator.estimators.elastic.solver import Solver
 from softtissue_estimator.observation.bare_cloud import BareCloud
 from softtissue_estimator.observation.observation import Observation
@@ -105,6 +107,37 @@ def test_answering_never_waits_for_a_factorisation(stream, monkeypatch):
         stream.estimate(observed(size))
     until(lambda: threads)
     assert threading.get_ident() not in threads
+
+
+def test_on_a_slow_machine_one_frame_waits_in_vain_for_a_step_and_none_for_the_next(monkeypatch):
+    patience_s, go_on, made = 1.0, threading.Event(), []
+
+    def slow(task):
+        go_on.wait(PATIENCE_S)
+        made.append(task)
+        return improve(task)
+
+    monkeypatch.setattr(tracking, "improve", slow)
+    stream = ElasticEstimator(dataclasses.replace(KNOWN, tracking=True, tracking_patience_s=patience_s))
+    stream.load_organ(ORGAN)
+    stamps = itertools.count(1)
+
+    def waits():
+        began = time.monotonic()
+        stream.estimate(dataclasses.replace(observed(1.0), stamp_s=0.1 * next(stamps)))
+        return time.monotonic() - began >= patience_s
+
+    try:
+        waited = [waits() for _ in range(50)]
+        assert sum(waited) == 1
+        go_on.set()
+        until(lambda: len(made) == 1)
+        go_on.clear()
+        # The next step is given as much longer: nobody comes for it yet.
+        assert not any(waits() for _ in range(10))
+    finally:
+        go_on.set()
+        stream.close()
 
 
 def test_the_thread_rests_while_the_organ_does_and_wakes_when_it_moves(stream, monkeypatch):
