@@ -223,6 +223,7 @@ def test_wrong_arguments_are_one_sentence_and_exit_code_2(environment):
         (["--rates", "0"], "--rates and --seconds above 0"),
         (["--organ", "nowhere"], "nowhere"),
         (["--parameter", "tracking"], "NAME:=VALUE"),
+        (["--parameter", "tracking:=false", "--rates", "0"], "--rates and --seconds above 0"),
         (["--overlay", "640x480"], "COLUMNSxROWS@RATE"),
     ):
         command = [str(executable("latency")), *arguments]

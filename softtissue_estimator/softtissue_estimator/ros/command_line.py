@@ -51,7 +51,7 @@ def parse_arguments(command_line: Sequence[str], program: Program = NODE) -> Non
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    _, unknown = parser.parse_known_args(_outside_ros(command_line))
+    _, unknown = parser.parse_known_args(outside_ros(command_line))
     if unknown:
         raise InvalidInputError(f"arguments: {_OURS}, got {' '.join(unknown)}{_hint(unknown, program)}")
 
@@ -103,9 +103,12 @@ def given_directly(command_line: Sequence[str]) -> set[str]:
     return {word.partition(":=")[0].rpartition(":")[2] for word in command_line if ":=" in word}
 
 
-def _outside_ros(command_line: Sequence[str]) -> list[str]:
-    # rclpy's `remove_ros_args` also takes away `NAME:=VALUE` alone, a remapping as ROS 1 wrote it: whoever forgets
-    # --ros-args before a parameter would hear nothing.
+def outside_ros(command_line: Sequence[str]) -> list[str]:
+    """Return the words of a command line that are not between `--ros-args` and `--`.
+
+    rclpy's `remove_ros_args` also takes away `NAME:=VALUE` alone, a remapping as ROS 1 wrote it: whoever forgets
+    `--ros-args` before a parameter would hear nothing, and no option could have such a value.
+    """
     outside, inside = [], False
     for word in command_line:
         if word == "--ros-args":

@@ -226,12 +226,12 @@ def run_tool(
     stop = StopRequest()
     import rclpy
     from rclpy.signals import SignalHandlerOptions
-    from rclpy.utilities import remove_ros_args
 
     from softtissue_estimator.errors import SoftTissueError
+    from softtissue_estimator.ros.command_line import outside_ros
     from softtissue_estimator.ros.inputs.transport import use_profile
 
-    options = parse(remove_ros_args(sys.argv)[1:])
+    options = parse(outside_ros(sys.argv[1:]))
     use_profile()
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
