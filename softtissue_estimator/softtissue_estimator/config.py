@@ -63,8 +63,8 @@ class EstimatorConfig:
     )
     precision: str = setting(
         "auto",
-        "Floating-point format of the network's convolutions; 'auto' takes float16 where the device computes in it, "
-        "else float32. Used by 'paper'.",
+        "Floating-point format of the network's convolutions; 'auto' takes what is fastest: float16 on GPUs and with "
+        "AMX-FP16, bfloat16 with AMX, else float32. Used by 'paper'.",
         choices=("auto", "float32", "bfloat16", "float16"),
     )
     autostart: bool = setting(True, "Configure and activate the node without being asked.")

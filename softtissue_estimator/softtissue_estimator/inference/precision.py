@@ -12,9 +12,10 @@ PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": t
 def choose_precision(name: str, device: torch.device) -> torch.dtype:
     """Return the format for the parameter `precision`.
 
-    'auto' is float16 where the device computes in it and float32 elsewhere. It is never bfloat16, whose 8 bits move
-    the bundled weights' answers by more than 0.05 mm (docs/explanation/networks.md). The networks' activations are
-    bounded or normalised, so that float16's range is wide enough for them.
+    'auto' is float16 on GPUs and on processors that multiply matrices of it (AMX-FP16), bfloat16 on those that do so
+    with bfloat16 alone (AMX), and float32 elsewhere: without such units half precision takes longer, whatever other
+    instructions there are (docs/explanation/networks.md). The networks' activations are bounded or normalised, so that
+    float16's range is wide enough for them.
 
     Raises
     ------
@@ -22,7 +23,7 @@ def choose_precision(name: str, device: torch.device) -> torch.dtype:
         The name is unknown, or the device has no instructions for the format.
     """
     if name == "auto":
-        return torch.float16 if computes_in("float16", device) else torch.float32
+        return _fastest(device)
     if name not in PRECISIONS:
         raise InvalidInputError(
             f"parameter precision: expected one of auto, {', '.join(PRECISIONS)}, got {name!r}"
@@ -33,6 +34,15 @@ def choose_precision(name: str, device: torch.device) -> torch.dtype:
             "instructions for it"
         )
     return PRECISIONS[name]
+
+
+def _fastest(device: torch.device) -> torch.dtype:
+    if device.type == "cuda":
+        return torch.float16
+    for name, unit in (("float16", "amx_fp16"), ("bfloat16", "amx_tile")):
+        if computes_in(name, device) and _cpu_has(unit):
+            return PRECISIONS[name]
+    return torch.float32
 
 
 def precision_name(dtype: torch.dtype) -> str:
