@@ -36,7 +36,7 @@ _Scored = tuple[Poses, FloatArray]
 DEFAULT_START_SIGMAS = (0.020, 0.26)
 """Standard deviations of a start that states none: m of a translation and rad of a rotation, each component."""
 
-LEAST_MARGIN = 2.7
+LEAST_MARGIN = 2.5
 """Of a pose that is not ambiguous: the logarithm of the odds."""
 LEAST_BLIND_MARGIN = 4.0
 """The same where nobody says from where the cloud is seen: without outlines, wrong poses fit far better."""

@@ -28,6 +28,7 @@ BENDING_M, LENGTH_M = 0.002, 0.040
 """Standard deviation of a component of the field, and over what distance it changes."""
 ELASTIC_M = 0.0028
 """Standard deviation of what elastic modes do along the normals, on average over the surface."""
+_SMOOTH_SHARE = 0.5  # of the smooth field's standard deviation, beside them: an organ need not bend quite so
 SHARE = 0.2
 """Of the logarithm of the likelihood, what is evidence: the labels of neighbours are not independent either."""
 _SIGMA_M = 0.0015  # of a point from the bent surface
@@ -48,7 +49,7 @@ class SmoothBending:
     surface
         Of the organ.
     elastic
-        (s, m) modes as `elastic_modes` returns them; None for those of a smooth field.
+        (s, m) modes as `elastic_modes` returns them, which have most of the variance; None for a smooth field alone.
 
     Attributes
     ----------
@@ -57,9 +58,10 @@ class SmoothBending:
     """
 
     def __init__(self, surface: PoseSurface, elastic: NDArray[np.float32] | None = None) -> None:
-        self.modes: FloatArray = (
-            _smooth_modes(surface) if elastic is None else ELASTIC_M * elastic.astype(np.float64)
-        )
+        self.modes = _smooth_modes(surface)
+        if elastic is not None:
+            both = [ELASTIC_M * elastic.astype(np.float64), _SMOOTH_SHARE * self.modes]
+            self.modes = _leading(np.concatenate(both, axis=1))
         arm = np.cross(surface.points - surface.centre, surface.normals)
         self._steps = np.array([_STEP_M] * 3 + [_STEP_M / _LEVER_M] * 3)
         self._with_steps = np.concatenate(
@@ -155,7 +157,12 @@ def _smooth_modes(surface: PoseSurface) -> FloatArray:
         _covariance(surface, places, places) + 1e-6 * BENDING_M**2 * np.eye(len(places))
     )
     half = _covariance(surface, np.arange(len(surface.points)), places) @ (vectors / np.sqrt(values))
-    left, size, _ = np.linalg.svd(half, full_matrices=False)
+    return _leading(half)
+
+
+def _leading(modes: FloatArray) -> FloatArray:
+    """Return orthogonal modes (s, m) whose field has nearly the covariance of that of others."""
+    left, size, _ = np.linalg.svd(modes, full_matrices=False)
     return np.asarray(left[:, :_MODES] * size[:_MODES])
 
 

@@ -92,10 +92,15 @@ def test_points_that_are_not_organ_change_nothing(bending):
     assert bending.gain(tried)[0] == pytest.approx(bending.gain(alone)[0], abs=1.0)
 
 
-def test_elastic_modes_are_used_as_large_as_organs_bend(surface):
-    rng = np.random.default_rng(3)
-    elastic = rng.normal(size=(len(surface.points), 3)).astype(np.float32)
-    np.testing.assert_allclose(SmoothBending(surface, elastic).modes, ELASTIC_M * elastic, rtol=1e-6)
+def test_covariance_is_of_elastic_modes_and_a_weaker_smooth_field(surface, bending):
+    places = surface.points / 0.05
+    elastic = np.column_stack([np.sin(places), np.cos(2.0 * places)]).astype(np.float32)
+    elastic /= np.sqrt((elastic**2).sum(axis=1).mean())
+    both = SmoothBending(surface, elastic).modes
+    assert both.shape == bending.modes.shape
+    found, smooth = both[::20] @ both[::20].T, bending.modes[::20] @ bending.modes[::20].T
+    expected = ELASTIC_M**2 * elastic[::20] @ elastic[::20].T + 0.25 * smooth
+    assert np.abs(found - expected).max() < 0.05 * ELASTIC_M**2
 
 
 def test_bent_surface_is_that_of_the_cloud(surface, bending):

@@ -108,8 +108,7 @@ class ElasticEstimator(Estimator):
 
     def compliances(self, points: FloatArray, directions: FloatArray) -> tuple[NDArray[np.float32], ...]:
         """See `Estimator.compliances`: of the organ held where it is attached, and, as that may be wrong, nowhere."""
-        with self._threads.limit(limits=1, user_api="blas"):
-            return self._loaded("compliances").compliances(points, directions, self._config.poisson_ratio)
+        return self._loaded("compliances").compliances(points, directions, self._config.poisson_ratio)
 
     def estimate(self, observation: Observation) -> ElasticEstimate:
         """See `Estimator.estimate`."""
