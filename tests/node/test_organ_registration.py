@@ -39,6 +39,7 @@ MOTION = RigidMotion(
 COVARIANCE = np.diag(np.array([0.004, 0.005, 0.006, 0.03, 0.04, 0.05]) ** 2)
 FOUND = FoundPose(MOTION, COVARIANCE, 0.001, 0.6, False, MOTION, 3.0, "one pose explains the cloud")
 CODES = Register.Response
+ELASTIC = np.ones((5, 2), dtype=np.float32)
 
 
 class Asked:
@@ -54,7 +55,7 @@ class Asked:
 
         self.find = find
         self.service = organ_registration.OrganRegistration(
-            SimpleNamespace(engine=SimpleNamespace(organ=ORGAN)),
+            SimpleNamespace(engine=SimpleNamespace(organ=ORGAN, elastic=ELASTIC)),
             self.registration,
             lambda: self.config,
             SimpleNamespace(sentence=lambda _where, error: str(error)),
@@ -100,6 +101,7 @@ def test_pose_is_answered_in_the_convention_of_ros(asked):
     (question,) = asked.questions
     np.testing.assert_allclose(question.camera, 0.0)  # an optical frame's origin
     assert question.start is None and question.landmarks is None
+    assert question.elastic is ELASTIC
 
 
 def test_pose_becomes_the_registration_where_that_is_asked_for(asked):

@@ -41,6 +41,7 @@ UNSURE = dataclasses.replace(FOUND, ambiguous=True, message="a second pose expla
 REQUEST, CODES = DecideRegistration.Request, DecideRegistration.Response
 POINTS = np.arange(30.0).reshape(10, 3) * 1e-3
 CLOUD = Frame(cloud_message(POINTS, ("x", "y", "z"), STAMP, FRAME), None, 0.0, 0, Kind.BARE)
+ELASTIC = np.ones((5, 2), dtype=np.float32)
 GIVEN = OrganPose(ROOM, "organ", np.eye(4), told=True)
 
 
@@ -57,8 +58,10 @@ class Node:
             lambda: config,
             lambda _where, error: str(error),
             lambda _said: None,
-            SimpleNamespace(find=self._find),
+            SimpleNamespace(find=self._find, prepare=lambda *what: self.prepared.append(what)),
+            lambda organ: ELASTIC if organ is ORGAN else None,
         )
+        self.prepared = []
         self.search.begin(ORGAN)
 
     def _find(self, question):
@@ -112,6 +115,18 @@ def test_what_is_found_is_registered_in_the_fixed_frame():
     # Translations of the centre and turns about it are alike in every direction here.
     np.testing.assert_allclose(pose.covariance_at(ORGAN.centre), FOUND.covariance, atol=1e-12)
     np.testing.assert_array_equal(node.questions[0].camera, np.zeros(3))
+
+
+def test_the_search_is_told_how_the_organ_bends():
+    node = Node()
+    node.search.prepare(ORGAN)
+    node.away()
+    node.searched()
+    assert node.questions[0].elastic is ELASTIC
+    assert [(surface, elastic) for surface, elastic in node.prepared] in (
+        [],  # the cloud came first
+        [(ORGAN.surface, ELASTIC)],
+    )
 
 
 def test_an_organ_that_comes_back_at_once_is_not_searched_for(monkeypatch):

@@ -170,6 +170,24 @@ class Estimator(ABC):
             f"estimator {self.name}: expected a cloud with correspondences, got one without, which 'elastic' answers"
         )
 
+    def compliances(self, points: FloatArray, directions: FloatArray) -> tuple[NDArray[np.float32], ...]:
+        """How far unit loads move the surface of the loaded organ, as the estimator believes before any observation.
+
+        Parameters
+        ----------
+        points : (k, 3) float64
+            On the preoperative surface, m, organ frame.
+        directions : (k, 3) float64
+            Unit vectors: along them.
+
+        Returns
+        -------
+        tuple of (k, p) float32
+            For each of p loads, of which only the ratios mean something; one array for each supposition about what
+            holds the organ, none if the estimator has no elastic model.
+        """
+        return ()
+
     def forget(self) -> None:  # noqa: B027 (most estimators remember nothing)
         """Forget earlier observations, where an estimator answers each about the one before."""
 

@@ -36,7 +36,7 @@ _Scored = tuple[Poses, FloatArray]
 DEFAULT_START_SIGMAS = (0.020, 0.26)
 """Standard deviations of a start that states none: m of a translation and rad of a rotation, each component."""
 
-LEAST_MARGIN = 2.7
+LEAST_MARGIN = 2.5
 """Of a pose that is not ambiguous: the logarithm of the odds."""
 LEAST_BLIND_MARGIN = 4.0
 """The same where nobody says from where the cloud is seen: without outlines, wrong poses fit far better."""
@@ -45,7 +45,9 @@ _ABOUT = 0.97
 _NEAR_REJECTED = 1.3  # of that distance: poses that explain a cloud lie as near to a rejected one as they may
 _MODES = 8  # about which the posterior is sampled,
 _MODES_APART_M = 0.010  # so far from each other, where the rough score
-_MOST_BEHIND = 60.0  # is that of the best one less so much, at most
+_MOST_BEHIND = 60.0  # is that of the best one less so much, at most;
+_REFINED_APART_M = 0.006  # or so far, after an organ that bends was moved to the cloud,
+_MOST_UNLIKELY = 12.0  # and so much less likely than the best one, in nats
 _LEAST_OVERLAP = 0.15
 _DRAWN_STARTS = 150
 _SAME_POSE_M = 0.012
@@ -103,11 +105,13 @@ class PoseFinder:
     ----------
     surface
         Of the organ at rest, organ's frame, m; takes half a second to prepare.
+    elastic
+        How it bends, as `elastic_modes` says; None where nobody knows more than that it bends smoothly.
     """
 
-    def __init__(self, surface: SurfaceMesh) -> None:
+    def __init__(self, surface: SurfaceMesh, elastic: NDArray[np.float32] | None = None) -> None:
         self._surface = PoseSurface(surface)
-        self._bending = SmoothBending(self._surface)
+        self._bending = SmoothBending(self._surface, elastic)
 
     def find(
         self,
@@ -196,13 +200,17 @@ class PoseFinder:
         self, scores: list[PoseScore], poses: Poses, values: FloatArray, rng: np.random.Generator
     ) -> PosePosterior:
         """Sample the posterior about the best of some poses, by their scores (k,)."""
-        modes = distinct(poses, values, self._surface.few, _MODES_APART_M, _MODES)
-        modes = modes[values[modes] > values[modes[0]] - _MOST_BEHIND]
+        evidence, few = PoseEvidence(scores, self._bending), self._surface.few
+        modes = distinct(poses, values, few, _MODES_APART_M, _MODES)
+        refined = evidence.refined(poses[modes[values[modes] > values[modes[0]] - _MOST_BEHIND]])
+        likely = evidence(refined)
+        about = distinct(refined, likely, few, _REFINED_APART_M, _MODES)
+        about = about[likely[about] > likely[about[0]] - _MOST_UNLIKELY]
 
         def rough(tried: Poses) -> FloatArray:
             return np.asarray(INDEPENDENT_SHARE * np.max([score(tried, every=2) for score in scores], axis=0))
 
-        return sample_poses(rough, PoseEvidence(scores, self._bending), poses[modes], self._surface, rng)
+        return sample_poses(rough, evidence, refined[about], self._surface, rng)
 
     def _second(self, posterior: PosePosterior, pose: RigidMotion, poses: Poses) -> RigidMotion | None:
         """Return the likeliest of the clearly different poses; the first of others, where the posterior has none."""

@@ -7,6 +7,7 @@ is enough says whether the pose can be believed.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,7 +25,7 @@ WITHIN_M = 0.020
 """A sample counts for poses that are so near, on average over the organ, about."""
 _SOFT_M = 0.003  # over which a sample ceases to count
 _ROUGH_TURNS, _ROUGH_COUNT = 2, 320
-_COUNTS = (240, 160)
+_COUNTS = (240, 160, 160)
 _LEAST_COUNT = 6  # samples of a component
 _LEAST_SHARE = 0.02  # of the samples, of a component
 _WIDER = 1.5  # variances that are drawn from, of those that were found
@@ -102,20 +103,23 @@ def sample_poses(
     """
     mixture = _Mixture(modes, surface.centre)
     for _ in range(_ROUGH_TURNS):
-        poses, _ = mixture.draw(_ROUGH_COUNT, rng)
+        poses = mixture.draw(_ROUGH_COUNT, rng)
         mixture.fit(poses, rough(poses))
         mixture.share_equally()  # the evidence may see it otherwise
-    samples, weights = [], []
+    samples, values, drawn_from = [], [], []
     for count in _COUNTS:
-        poses, drawn = mixture.draw(count, rng)
-        posterior = evidence(poses)
-        samples.append(poses)
-        weights.append(posterior - drawn)
-        mixture.fit(poses, posterior)
+        drawn = mixture.draw(count, rng)
+        samples.append(drawn)
+        values.append(evidence(drawn))
+        drawn_from.append(copy.deepcopy(mixture))
+        mixture.fit(drawn, values[-1])
     poses = samples[0]
     for more in samples[1:]:
         poses = poses.and_also(more)
-    log_weight = np.concatenate(weights)
+    # As if each were drawn from all mixtures (Cornuet et al. 2012): few samples of a poor one would outweigh the rest.
+    shares = np.log([len(each) / len(poses) for each in samples])
+    density = [share + one.log_density(poses) for share, one in zip(shares, drawn_from, strict=True)]
+    log_weight = np.concatenate(values) - np.logaddexp.reduce(density, axis=0)
     weight = np.exp(log_weight - log_weight.max())
     placed = poses.apply(surface.few[::2])
     apart = np.stack([np.linalg.norm(placed - one, axis=2).mean(axis=1) for one in placed])
@@ -136,8 +140,8 @@ class _Mixture:
         """Give each Gaussian as many samples as any other."""
         self._share = np.full(len(self._modes), 1.0 / len(self._modes))
 
-    def draw(self, count: int, rng: np.random.Generator) -> tuple[Poses, FloatArray]:
-        """Draw about so many poses, and return the logarithms of their densities, (k,)."""
+    def draw(self, count: int, rng: np.random.Generator) -> Poses:
+        """Draw about so many poses."""
         counts = np.maximum(np.rint(self._share * count).astype(np.int64), _LEAST_COUNT)
         steps = [
             rng.multivariate_normal(mean, _WIDER * covariance, number)
@@ -146,7 +150,11 @@ class _Mixture:
         origin = np.repeat(np.arange(len(self._modes)), counts)
         poses = self._modes[origin].moved(np.concatenate(steps), self._centre)
         self._share = counts / counts.sum()
-        return poses, np.logaddexp.reduce(self._components(self._steps(poses)), axis=0)
+        return poses
+
+    def log_density(self, poses: Poses) -> FloatArray:
+        """Logarithm of its density at poses, (k,), up to a constant."""
+        return np.asarray(np.logaddexp.reduce(self._components(self._steps(poses)), axis=0))
 
     def fit(self, poses: Poses, target: FloatArray) -> None:
         """Fit it to a density (k,) at poses that were drawn from it."""

@@ -46,6 +46,8 @@ class PoseQuestion:
         Of the organ at rest, organ's frame, m.
     points, camera, start, landmarks, rejected
         See there.
+    elastic
+        How the organ bends, see `PoseFinder`.
     """
 
     surface: SurfaceMesh
@@ -54,6 +56,7 @@ class PoseQuestion:
     start: PosePrior | None = None
     landmarks: tuple[FloatArray, FloatArray] | None = None
     rejected: tuple[RigidMotion, ...] = ()
+    elastic: NDArray[np.float32] | None = None
 
 
 def find_elsewhere(question: PoseQuestion) -> FoundPose:
@@ -73,10 +76,10 @@ class PoseProcess:
         self._stack = ExitStack()
         self._child: subprocess.Popen[bytes] | None = None
 
-    def prepare(self, surface: SurfaceMesh) -> None:
-        """Let it prepare an organ's surface, so that the first search takes less time."""
+    def prepare(self, surface: SurfaceMesh, elastic: NDArray[np.float32] | None = None) -> None:
+        """Let it prepare an organ, as `PoseFinder` takes it, so that the first search takes less time."""
         with self._lock:
-            self._asked(_surface_arrays(surface))
+            self._asked(_organ_arrays(surface, elastic))
 
     def find(self, question: PoseQuestion) -> FoundPose:
         """Find a pose.
@@ -160,16 +163,17 @@ class Server:
             arrays = dict(stored)
         answer: dict[str, Any]
         try:
-            finder = self._prepared(SurfaceMesh(arrays["vertices"], arrays["faces"]))
+            finder = self._prepared(SurfaceMesh(arrays["vertices"], arrays["faces"]), arrays.get("elastic"))
             answer = {} if "points" not in arrays else _arrays_of_found(_found(finder, _question_of(arrays)))
         except InvalidInputError as error:
             answer = {"refused": np.array(str(error))}
         save_arrays(target, answer)
 
-    def _prepared(self, surface: SurfaceMesh) -> PoseFinder:
+    def _prepared(self, surface: SurfaceMesh, elastic: NDArray[np.float32] | None) -> PoseFinder:
         key = surface.vertices.tobytes() + surface.faces.tobytes()
+        key += b"" if elastic is None else elastic.tobytes()
         if self._finder is None or key != self._key:
-            self._finder, self._key = PoseFinder(surface), key
+            self._finder, self._key = PoseFinder(surface, elastic), key
         return self._finder
 
 
@@ -183,12 +187,13 @@ def _found(finder: PoseFinder, question: PoseQuestion) -> FoundPose:
     )
 
 
-def _surface_arrays(surface: SurfaceMesh) -> dict[str, Any]:
-    return {"vertices": surface.vertices, "faces": surface.faces}
+def _organ_arrays(surface: SurfaceMesh, elastic: NDArray[np.float32] | None) -> dict[str, Any]:
+    arrays = {"vertices": surface.vertices, "faces": surface.faces}
+    return arrays if elastic is None else arrays | {"elastic": elastic}
 
 
 def _arrays_of(question: PoseQuestion) -> dict[str, Any]:
-    arrays = _surface_arrays(question.surface) | {"points": question.points}
+    arrays = _organ_arrays(question.surface, question.elastic) | {"points": question.points}
     if question.rejected:
         arrays["rejected"] = np.stack(
             [np.column_stack([m.rotation, m.translation]) for m in question.rejected]
@@ -212,6 +217,7 @@ def _question_of(stored: Any) -> PoseQuestion:
         else None,
         (stored["on_organ"], stored["in_cloud"]) if "on_organ" in stored else None,
         tuple(RigidMotion(m[:, :3], m[:, 3]) for m in stored.get("rejected", ())),
+        stored.get("elastic"),
     )
 
 

@@ -94,9 +94,17 @@ class PoseScore:
         score = every * self.fit(poses, sigma_m, every).gain.sum(axis=1)
         return np.asarray(score - self.cost(poses, every) + self.log_prior(poses) / INDEPENDENT_SHARE)
 
-    def cost(self, poses: Poses, every: int = 1) -> FloatArray:
-        """Cost of what contradicts the cloud, and of rejected poses nearby, (k,)."""
-        cost = self._contradiction(poses, every)
+    def cost(self, poses: Poses, every: int = 1, bent: FloatArray | None = None) -> FloatArray:
+        """Cost of what contradicts the cloud, and of rejected poses nearby, (k,).
+
+        Parameters
+        ----------
+        every
+            Use so few of the samples.
+        bent
+            (k, s) m along the normals, how the surface's samples are displaced; None for not at all.
+        """
+        cost = self._contradiction(poses, every, bent)
         for wrong in self._rejected:
             away = np.linalg.norm(poses.apply(self.surface.few) - wrong, axis=2).mean(axis=1)
             cost += TOO_NEAR * np.maximum(0.0, CLEARLY_DIFFERENT_M - away)
@@ -132,11 +140,12 @@ class PoseScore:
         ratio = np.exp(alike - 0.5 * squared) / (sigma_m * np.sqrt(2.0 * np.pi))
         return Fit(points, normals, nearest, height, aside, alike, np.log1p(ratio), ratio / (1.0 + ratio))
 
-    def _contradiction(self, poses: Poses, every: int) -> FloatArray:
+    def _contradiction(self, poses: Poses, every: int, bent: FloatArray | None) -> FloatArray:
         """Cost of the surface that would hide what is seen, (k,)."""
         surface, step = self.surface, 2 * every
-        hiding = self.cloud.contradicts(
-            poses.apply(surface.points[::step]), poses.turn(surface.normals[::step])
-        )
+        points, normals = surface.points[::step], surface.normals[::step]
+        if bent is not None:
+            points = points + bent[:, ::step, None] * normals
+        hiding = self.cloud.contradicts(poses.apply(points), poses.turn(normals))
         cubes = step * surface.area / SPACING_M**2
         return np.asarray(_CONTRADICTION * cubes * hiding.sum(axis=1))

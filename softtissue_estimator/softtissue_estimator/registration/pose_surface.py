@@ -13,7 +13,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_SAMPLES = 1600
+SAMPLES = 1600
+"""Of an organ's surface."""
 _CELL_M = 0.005  # of the table of nearest samples
 _MARGIN_M = 0.045  # around the organ, that the table covers
 _FIELD_REACH_M = 0.025  # from the surface, within which normals attract normals
@@ -41,16 +42,8 @@ class PoseSurface:
     """
 
     def __init__(self, surface: SurfaceMesh) -> None:
-        rng = np.random.default_rng(0)
-        until = np.cumsum(face_areas(surface))
-        # One sample in each of equal shares of the area.
-        drawn = (np.arange(_SAMPLES) + rng.random(_SAMPLES)) / _SAMPLES * until[-1]
-        face = np.minimum(np.searchsorted(until, drawn), len(until) - 1)
-        corner = np.asarray(igl.per_vertex_normals(surface.vertices, surface.faces))
-        weights = rng.dirichlet([1.0, 1.0, 1.0], _SAMPLES)
-        self.points: FloatArray = np.einsum("nc,ncd->nd", weights, surface.triangles[face])
-        self.normals = unit_rows(np.einsum("nc,ncd->nd", weights, corner[surface.faces[face]]))
-        self.area = float(until[-1]) / _SAMPLES
+        self.points, self.normals = surface_samples(surface)
+        self.area = float(face_areas(surface).sum()) / SAMPLES
         self.centre: FloatArray = surface.vertices.mean(axis=0)
         self._tree = cKDTree(self.points)
         self._low, self._shape, places = _lattice(self.points, _MARGIN_M, _CELL_M)
@@ -87,6 +80,19 @@ class PoseSurface:
         deep = (height < -_SKIN_M) * np.minimum(1.0, distance / _DEEP_M)
         values = np.column_stack([self.normals[sample] * fading[:, None], deep])
         return values.T.reshape(4, *shape).astype(np.float32), low
+
+
+def surface_samples(surface: SurfaceMesh) -> tuple[FloatArray, FloatArray]:
+    """Return points (s, 3) m spread evenly over a surface, and its normals there, always the same ones."""
+    rng = np.random.default_rng(0)
+    until = np.cumsum(face_areas(surface))
+    # One sample in each of equal shares of the area.
+    drawn = (np.arange(SAMPLES) + rng.random(SAMPLES)) / SAMPLES * until[-1]
+    face = np.minimum(np.searchsorted(until, drawn), len(until) - 1)
+    corner = np.asarray(igl.per_vertex_normals(surface.vertices, surface.faces))
+    weights = rng.dirichlet([1.0, 1.0, 1.0], SAMPLES)
+    points = np.einsum("nc,ncd->nd", weights, surface.triangles[face])
+    return points, unit_rows(np.einsum("nc,ncd->nd", weights, corner[surface.faces[face]]))
 
 
 def _lattice(points: FloatArray, margin_m: float, cell_m: float) -> tuple[FloatArray, IntArray, FloatArray]:

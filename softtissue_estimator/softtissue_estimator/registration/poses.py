@@ -55,11 +55,11 @@ class Poses:
         )
 
     def apply(self, points: FloatArray) -> FloatArray:
-        """Move points (n, 3) m of the organ, (k, n, 3)."""
+        """Move points (n, 3) m of the organ, or (k, n, 3) m, those of each pose, (k, n, 3)."""
         return self.turn(points) + self.translation[:, None]
 
     def turn(self, vectors: FloatArray) -> FloatArray:
-        """Turn vectors (n, 3) of the organ, (k, n, 3)."""
+        """Turn vectors (n, 3) of the organ, or (k, n, 3), those of each pose, (k, n, 3)."""
         return np.asarray(vectors @ np.swapaxes(self.rotation, 1, 2))
 
     def undo(self, points: FloatArray) -> FloatArray:

@@ -89,6 +89,7 @@ def pose_question(
     start: PosePrior | None = None,
     landmarks: tuple[FloatArray, FloatArray] | None = None,
     rejected: tuple[RigidMotion, ...] = (),
+    elastic: NDArray[np.float32] | None = None,
 ) -> PoseQuestion:
     """Ask for the pose of an organ in a cloud; points that its fields say not to be of the organ are left out.
 
@@ -107,4 +108,4 @@ def pose_question(
         wanted &= labels.organ
     known = cloud.frame.endswith(OPTICAL) or cameras.fixed_frame(cloud.frame) is not None
     camera = np.zeros(3) if config.viewpoint == "camera" or (config.viewpoint == "auto" and known) else None
-    return PoseQuestion(organ.surface, points[wanted], camera, start, landmarks, rejected)
+    return PoseQuestion(organ.surface, points[wanted], camera, start, landmarks, rejected, elastic)

@@ -6,11 +6,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimators.estimator import Estimator, create_estimator
 from softtissue_estimator.estimators.preparation import Request, prepare_elsewhere, too_large
 from softtissue_estimator.organ.organ import Organ, load_organ
 from softtissue_estimator.organ.organ_file import FILE_NAME, read_organ_file
+from softtissue_estimator.registration.elastic_modes import elastic_modes
 from softtissue_estimator.ros.frames import FrameAnswerer, unmoved
 from softtissue_estimator.ros.outputs.answer_buffer import AnswerBuffer
 from softtissue_estimator.ros.outputs.markers import MarkerBuffer
@@ -38,6 +42,11 @@ class Engine:
     def surface(self) -> AnswerBuffer:
         """The organ's surface as a message; made when somebody listens."""
         return AnswerBuffer(self.organ, surface=True)
+
+    @cached_property
+    def elastic(self) -> NDArray[np.float32] | None:
+        """How the organ bends, for the search of its pose (`elastic_modes`); computed in the first one."""
+        return elastic_modes(self.estimator, self.organ.surface)
 
     @property
     def setup(self) -> Setup:

@@ -107,6 +107,7 @@ class EstimatorNode(ManagedNode):
             self.boundary.sentence,
             self.boundary.info,
             self._poses,
+            lambda organ: self._responder.elastic(organ),
         )
         self._responder = Responder(
             outputs, self._counters, self._registration, lambda: self._config, self._search

@@ -87,7 +87,9 @@ class OrganRegistration:
                 place = place_of(cloud, cameras, config.registration_max_age_s)
                 start = _start(request, organ) if request.use_start else None
                 landmarks = _landmarks(request, organ)
-                question = pose_question(cloud, organ, config, cameras, start=start, landmarks=landmarks)
+                question = pose_question(
+                    cloud, organ, config, cameras, start=start, landmarks=landmarks, elastic=engine.elastic
+                )
                 found = self._find(question)
                 _fill(response, found, cloud, organ)
                 if request.apply and not found.ambiguous:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 from softtissue_msgs.srv import DecideRegistration
 
@@ -50,6 +51,8 @@ class OrganSearch:
         Takes what was found, in a sentence.
     poses : PoseProcess
         Searches.
+    elastic : callable
+        Returns how an organ bends, as `PoseFinder` takes it, or None; may take a tenth of a second the first time.
     """
 
     def __init__(
@@ -59,9 +62,10 @@ class OrganSearch:
         explain: Callable[[str, BaseException], str],
         say: Callable[[str], None],
         poses: PoseProcess,
+        elastic: Callable[[Organ], NDArray[np.float32] | None] = lambda _organ: None,
     ) -> None:
         self._registration, self._config = registration, config
-        self._explain, self._say, self._poses = explain, say, poses
+        self._explain, self._say, self._poses, self._elastic = explain, say, poses, elastic
         self._lock = threading.Lock()
         self._worker: LatestWorker[_Task] | None = None
         self._task: _Task | None = None
@@ -149,7 +153,7 @@ class OrganSearch:
 
     def _work(self, task: _Task) -> None:
         if task.frame is None:
-            self._poses.prepare(task.organ.surface)
+            self._poses.prepare(task.organ.surface, self._elastic(task.organ))
             return
         began_s = time.monotonic()
         try:
@@ -174,7 +178,8 @@ class OrganSearch:
         with self._lock:
             wrong = [place.in_cloud(pose) for pose in self._rejected]
         rejected = tuple(motion for motion in wrong if motion is not None)
-        question = pose_question(cloud, task.organ, config, cameras, rejected=rejected)
+        elastic = self._elastic(task.organ)
+        question = pose_question(cloud, task.organ, config, cameras, rejected=rejected, elastic=elastic)
         return place, self._poses.find(question)
 
     def _take(self, found: FoundPose, registration: OrganPose | None) -> None:

@@ -6,10 +6,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import OrganNotFoundError
+from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.ros.degradation import degradation_reasons, in_one_sentence
 from softtissue_estimator.ros.engine import Engine
 from softtissue_estimator.ros.frames import Answer, Frame, matching_of
@@ -95,6 +98,11 @@ class Responder:
     def engine(self) -> Engine | None:
         """Organ and estimator at work."""
         return self._engine
+
+    def elastic(self, organ: Organ) -> NDArray[np.float32] | None:
+        """How an organ bends, for the search of its pose; None if it is not at work, or its estimator cannot say."""
+        engine = self._engine
+        return engine.elastic if engine is not None and engine.organ is organ else None
 
     @property
     def setup(self) -> Setup:

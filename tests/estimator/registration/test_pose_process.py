@@ -15,6 +15,7 @@ from softtissue_estimator.registration.pose_process import (
     PoseWorkerError,
     find_elsewhere,
 )
+from softtissue_estimator.registration.pose_surface import surface_samples
 from softtissue_estimator.registration.poses import PosePrior
 
 POINTS = part_of(make_lump())
@@ -35,6 +36,20 @@ def test_pose_is_the_same_elsewhere():
     assert (there.rms_m, there.overlap, there.margin) == pytest.approx(
         (here.rms_m, here.overlap, here.margin)
     )
+
+
+def test_how_the_organ_bends_goes_there_with_the_question():
+    surface, camera = make_lump(), np.array([0.10, 0.25, 0.20])
+    points, _ = surface_samples(surface)
+    elastic = np.cos(points @ (np.arange(1.0, 7.0) * np.ones((3, 1))) / 0.02).astype(np.float32)
+    here = PoseFinder(surface, elastic).find(POINTS, camera=camera, start=START)
+    without = PoseFinder(surface).find(POINTS, camera=camera, start=START)
+    with closing(PoseProcess()) as process:
+        process.prepare(surface)  # another organ, as it does not bend so
+        there = process.find(PoseQuestion(surface, POINTS, camera, START, elastic=elastic))
+    np.testing.assert_allclose(there.motion.translation, here.motion.translation, atol=1e-9)
+    np.testing.assert_allclose(there.covariance, here.covariance, rtol=1e-6)
+    assert abs(without.margin - here.margin) > 1e-3
 
 
 def test_a_rejected_pose_is_not_found_again_and_the_process_keeps_what_it_prepared():

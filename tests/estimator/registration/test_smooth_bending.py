@@ -6,11 +6,20 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from estimator.lump import make_lump
+from estimator.lump import make_lump, part_of
+from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.registration import smooth_bending
-from softtissue_estimator.registration.pose_score import Fit
+from softtissue_estimator.registration.oriented_cloud import OrientedCloud
+from softtissue_estimator.registration.pose_score import Fit, PoseScore
 from softtissue_estimator.registration.pose_surface import PoseSurface
-from softtissue_estimator.registration.smooth_bending import BENDING_M, LENGTH_M, SmoothBending
+from softtissue_estimator.registration.poses import Poses
+from softtissue_estimator.registration.smooth_bending import (
+    BENDING_M,
+    ELASTIC_M,
+    LENGTH_M,
+    PoseEvidence,
+    SmoothBending,
+)
 
 SIGMA_M = smooth_bending._SIGMA_M
 SURE = 30.0  # logarithm of how much likelier a point is on the organ: all are
@@ -81,3 +90,53 @@ def test_points_that_are_not_organ_change_nothing(bending):
     # Where a point might be organ by its place at first, but not by the field, it is let go.
     tried = replace(both, alike=np.where(away, 0.0, SURE)[None], weight=np.where(away, 0.01, 1.0)[None])
     assert bending.gain(tried)[0] == pytest.approx(bending.gain(alone)[0], abs=1.0)
+
+
+def test_covariance_is_of_elastic_modes_and_a_weaker_smooth_field(surface, bending):
+    places = surface.points / 0.05
+    elastic = np.column_stack([np.sin(places), np.cos(2.0 * places)]).astype(np.float32)
+    elastic /= np.sqrt((elastic**2).sum(axis=1).mean())
+    both = SmoothBending(surface, elastic).modes
+    assert both.shape == bending.modes.shape
+    found, smooth = both[::20] @ both[::20].T, bending.modes[::20] @ bending.modes[::20].T
+    expected = ELASTIC_M**2 * elastic[::20] @ elastic[::20].T + 0.25 * smooth
+    assert np.abs(found - expected).max() < 0.05 * ELASTIC_M**2
+
+
+def test_bent_surface_is_that_of_the_cloud(surface, bending):
+    rng = np.random.default_rng(4)
+    sample = np.arange(0, 1600, 2)
+    field = bending.modes @ rng.normal(size=bending.modes.shape[1])
+    gain, bent = bending.explained(fit(np.stack([0.0 * field[sample], field[sample]]), sample))
+    np.testing.assert_allclose(
+        gain, bending.gain(fit(np.stack([0.0 * field[sample], field[sample]]), sample))
+    )
+    np.testing.assert_allclose(bent[0], 0.0, atol=1e-9)
+    assert np.sqrt(np.mean((bent[1] - field) ** 2)) < 0.2 * np.sqrt(np.mean(field**2))
+
+
+def test_what_a_bent_organ_does_not_hide_costs_nothing(surface):
+    """A plate behind the lump, whose top is dented by as much as it stood out before the plate."""
+    x, y = np.meshgrid(np.linspace(-0.15, 0.15, 90), np.linspace(-0.15, 0.15, 90))
+    camera = np.array([0.0, 0.0, 0.5])
+    plate = OrientedCloud(np.stack([x, y, np.full_like(x, 0.005)], axis=-1).reshape(-1, 3), camera)
+    score, pose = PoseScore(surface, plate), Poses.of([RigidMotion(np.eye(3), np.zeros(3))])
+    top = surface.points[:, 2] > 0.0
+    # Down along the normal as far as it is high, over the slope.
+    dent = np.where(top, -surface.points[:, 2] / np.maximum(surface.normals[:, 2], 0.2), 0.0)
+    rigid, outwards = score.cost(pose), score.cost(pose, bent=np.abs(dent)[None])
+    assert rigid[0] > 100.0 and outwards[0] >= rigid[0]
+    assert score.cost(pose, bent=dent[None])[0] < 0.1 * rigid[0]
+    assert score.cost(pose, bent=np.zeros((1, len(dent))))[0] == rigid[0]
+
+
+@pytest.mark.parametrize("step", [[0.003, -0.002, 0.002, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.03, -0.04, 0.03]])
+def test_refined_pose_is_where_the_organ_need_not_bend(surface, bending, step):
+    pose = RigidMotion(np.eye(3), np.array([0.0, 0.0, -0.3]))
+    score = PoseScore(surface, OrientedCloud(pose.apply(part_of(make_lump())), np.zeros(3)))
+    beside = Poses.of([pose]).moved(np.array([step]), surface.centre)
+    refined = PoseEvidence([score], bending).refined(beside)
+    assert len(refined) == 2
+    np.testing.assert_array_equal(refined.rotation[0], beside.rotation[0])
+    left = np.linalg.norm(refined.apply(surface.points) - pose.apply(surface.points), axis=2).mean(axis=1)
+    assert left[1] < 0.4 * left[0]

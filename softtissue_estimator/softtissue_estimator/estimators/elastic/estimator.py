@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from threadpoolctl import ThreadpoolController
 
@@ -104,6 +105,10 @@ class ElasticEstimator(Estimator):
     def interpolation(self, points: FloatArray) -> csr_array:
         """Locate points (k, 3) m of the loaded organ once, for `ElasticEstimate.interpolated` in every frame."""
         return self._loaded("interpolation").mesh.interpolation(points)
+
+    def compliances(self, points: FloatArray, directions: FloatArray) -> tuple[NDArray[np.float32], ...]:
+        """See `Estimator.compliances`: of the organ held where it is attached, and, as that may be wrong, nowhere."""
+        return self._loaded("compliances").compliances(points, directions, self._config.poisson_ratio)
 
     def estimate(self, observation: Observation) -> ElasticEstimate:
         """See `Estimator.estimate`."""

@@ -9,9 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from tqdm import tqdm
 
+from softtissue_estimator.config import EstimatorConfig
+from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
 from softtissue_estimator.observation.rigid import RigidMotion, fit_rigid
+from softtissue_estimator.organ.organ import make_organ
+from softtissue_estimator.registration.elastic_modes import elastic_modes
 from softtissue_estimator.registration.find_pose import PoseFinder
 from softtissue_estimator.registration.poses import Poses
 from softtissue_training.evaluation.clouds.plan import CloudPlan
@@ -125,8 +130,16 @@ def _registered(tasks: list[tuple[CloudPlan, Path, int]], workers: int) -> Itera
 def _register(task: tuple[CloudPlan, Path, int]) -> list[Registered]:
     plan, folder, number = task
     organ = read_organ(plan, folder, number)
-    finder = PoseFinder(organ.surface)
+    finder = PoseFinder(organ.surface, _elastic(organ))
     return [_registered_view(finder, organ, number, view) for view in range(len(organ.views))]
+
+
+def _elastic(seen: SeenOrgan) -> NDArray[np.float32] | None:
+    """Return how the organ bends, as the node's estimator would say: it knows where the organ is attached."""
+    organ = make_organ("clouds", "organ", seen.surface, (), seen.attached)
+    estimator = ElasticEstimator(EstimatorConfig(tracking=False))
+    estimator.load_organ(organ)
+    return elastic_modes(estimator, organ.surface)
 
 
 def _registered_view(finder: PoseFinder, organ: SeenOrgan, number: int, view: int) -> Registered:

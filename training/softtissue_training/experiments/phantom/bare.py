@@ -14,6 +14,7 @@ from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
 from softtissue_estimator.estimators.estimator import Progress, silent
 from softtissue_estimator.observation.bare_cloud import BareCloud, make_bare_cloud
 from softtissue_estimator.organ.organ import Organ
+from softtissue_estimator.registration.elastic_modes import elastic_modes
 from softtissue_estimator.registration.find_pose import FoundPose, PoseFinder
 from softtissue_training.experiments.phantom.case import ObservedSurface, PhantomCase
 
@@ -60,7 +61,8 @@ def answer_surface(case: PhantomCase, surface: ObservedSurface, progress: Progre
     covariance = registration_covariance(*(case.registration_sigma or (0.0, 0.0)))
     if not case.pose_known:
         progress("searching the organ's pose")
-        found = PoseFinder(case.organ.surface).find(points)
+        rest = case.organ.surface
+        found = PoseFinder(rest, elastic_modes(estimator, rest)).find(points)
         points, covariance = found.motion.undo(points), found.covariance
     progress("estimate from the surface alone")
     estimate = estimator.estimate_bare(bare_cloud(points, case.sigma_m, covariance))
