@@ -147,6 +147,10 @@ def doubts(
             f"observation: expected neighbouring points to agree, got errors of {1e3 * shared:.1f} mm that they share"
         )
     found += _registration_doubts(registration, expected, troubles.registration_moved)
+    if posterior.contested:
+        found.append(
+            "observation: expected what fits an organ held and registered as told, got what fits another better"
+        )
     if posterior.attachment_moves:
         found.append("organ: expected what holds it to stay where it is, got an attachment that moves")
     if not posterior.plausible:

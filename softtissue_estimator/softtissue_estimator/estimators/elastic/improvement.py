@@ -10,14 +10,9 @@ from softtissue_estimator.estimators.elastic.registration_error import Registrat
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
 from softtissue_estimator.estimators.elastic.registration_scale import explained, likeliest
 from softtissue_estimator.estimators.elastic.solver import Solver
-from softtissue_estimator.estimators.elastic.suppositions import revised
+from softtissue_estimator.estimators.elastic.suppositions import STEPS_BEFORE_BELIEF, revised
 from softtissue_estimator.inference.device import one_thread
 
-CATCHING_UP_STEPS = 4
-"""After a start, which tell nothing of the registration's constancy: the organ is not yet linear where it is, and an
-attachment that moves looks like a drift for want of motion."""
-LEAST_STEPS_OF_DOUBT = 2
-"""After a start, before anything is thought to be wrong."""
 STEPS_PER_HIDDEN_VARIANCE = 3
 """Which changes slowly and takes as long as a fifth of a step."""
 STEPS_PER_TRIAL = 2
@@ -96,7 +91,9 @@ class Task:
         """After how much time the step is taken over, however long it took."""
         if self.rigid:
             return FIRST_STEPS * STEP_S
-        return (1 + abs(self.ratio_step)) * STEP_S + (self.sees_hidden + self.doubts) * EXTRA_S
+        # The first trial believes nothing, and is over in what a step is given.
+        believes = self.doubts and self.number > STEPS_BEFORE_BELIEF
+        return (1 + abs(self.ratio_step)) * STEP_S + (self.sees_hidden + believes) * EXTRA_S
 
     @property
     def sees_hidden(self) -> bool:
@@ -106,7 +103,7 @@ class Task:
     @property
     def doubts(self) -> bool:
         """Whether it asks what else may be wrong."""
-        return self.number > LEAST_STEPS_OF_DOUBT and self.number % STEPS_PER_TRIAL == 1
+        return self.number % STEPS_PER_TRIAL == 1
 
     @property
     def ratio_step(self) -> int:
@@ -154,8 +151,7 @@ def _step(task: Task) -> Posterior:
     task.go_on()
     better = _improved(task, task.ratio)
     if task.doubts:
-        constant = task.number <= CATCHING_UP_STEPS
-        better = revised(task.solver, better, task.registration, constant=constant)
+        better = revised(task.solver, better, task.registration, task.number)
     if task.ratio_step and better.ratio + task.ratio_step in task.solver.ratios:
         other = _improved(task, better.ratio + task.ratio_step)
         if other.log_evidence > better.log_evidence + LEAST_LOG_EVIDENCE_GAIN:

@@ -6,6 +6,7 @@ from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.linear_gaussian import standard_deviation
 from softtissue_estimator.estimators.elastic.loads_prior import LoadsPrior
+from softtissue_estimator.estimators.elastic.own_motion import OwnMotion
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.organ.mesh import FloatArray
 
@@ -26,7 +27,7 @@ def nodal_sigma(posterior: Posterior, nodes: Tensor, moved: Tensor, prior: Loads
     nodes : (n, 3) float64 m
         At rest.
     moved : (n, 3) float64 m
-        Displacement of the nodes without bending.
+        Displacement of the nodes without bending, as the registration was told.
     prior : LoadsPrior
     """
     if posterior.hidden_variance is None:
@@ -34,11 +35,22 @@ def nodal_sigma(posterior: Posterior, nodes: Tensor, moved: Tensor, prior: Loads
     else:
         found = standard_deviation(posterior.tangent, posterior.amplitudes, posterior.moving(nodes))
         linear = found.square() + posterior.hidden_variance
-    bent = torch.linalg.vector_norm(posterior.mean - moved, dim=1)
+    bent = torch.linalg.vector_norm(nodes + posterior.mean - _unbent(posterior, nodes + moved), dim=1)
     if posterior.rival_variance is not None:
         linear = linear + posterior.rival_variance
     variance = linear + (MODEL_ERROR_SHARE * bent).square() + LEAST_DEVIATION_M**2
     return np.asarray(variance.sqrt().cpu().numpy(), dtype=np.float64)
+
+
+def _unbent(posterior: Posterior, told: Tensor) -> Tensor:
+    """Where the nodes would be without bending, (n, 3) m, from where they are `told` to be, (n, 3) m.
+
+    An error of the registration moves all that is seen: it is no bending.
+    """
+    if isinstance(posterior.registration, OwnMotion):
+        return told
+    correction = posterior.registration_after.correction
+    return told @ told.new_tensor(correction.rotation).T + told.new_tensor(correction.translation)
 
 
 def hidden_variance(posterior: Posterior, start: WarmStart, nodes: Tensor, prior: LoadsPrior) -> Tensor:

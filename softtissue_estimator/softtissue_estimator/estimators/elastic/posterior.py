@@ -51,6 +51,8 @@ class Posterior:
         `surprise`, where the variances are those of earlier observations; NaN where there were none.
     attachment_moves : bool
         Whether what holds the organ may move.
+    contested : bool
+        Whether something else was found to be likelier, and not believed yet; like `rival_variance`.
     """
 
     tangent: Tangent
@@ -67,6 +69,7 @@ class Posterior:
     plausible: bool = True
     innovation: float = math.nan
     attachment_moves: bool = False
+    contested: bool = False
 
     def with_loads(self, kept: Tensor) -> "Posterior":
         """Return the same with some of the loads alone, (l,) their numbers."""
@@ -123,7 +126,7 @@ class WarmStart:
     ratio : int
     hidden_variance : (n,) float64 m^2 or None
         Of the nodes, by the loads that are left out; None where that is not known.
-    rival_variance : (n,) float64 m^2 or None
+    rival_variance, contested : (n,) float64 m^2 or None, bool
         As in `Posterior`.
     """
 
@@ -135,10 +138,16 @@ class WarmStart:
     ratio: int
     hidden_variance: Tensor | None = None
     rival_variance: Tensor | None = None
+    contested: bool = False
 
     def completed(self, posterior: Posterior) -> Posterior:
-        """Return a posterior by these loads with the variance of what it leaves out."""
-        return replace(posterior, hidden_variance=self.hidden_variance, rival_variance=self.rival_variance)
+        """Return a posterior by these loads with the variance of what it leaves out, and what else was likelier."""
+        return replace(
+            posterior,
+            hidden_variance=self.hidden_variance,
+            rival_variance=self.rival_variance,
+            contested=self.contested,
+        )
 
 
 def warm_start(posterior: Posterior, leading: Tensor) -> WarmStart:
@@ -159,6 +168,7 @@ def warm_start(posterior: Posterior, leading: Tensor) -> WarmStart:
         posterior.model_sigma_m,
         posterior.ratio,
         rival_variance=posterior.rival_variance,
+        contested=posterior.contested,
     )
 
 

@@ -259,7 +259,7 @@ class Solver:
             self._misfit.model_sigma(self._misfit.unexplained(observed, residual, weight)),
             observed,
         )
-        return replace(better, rival_variance=posterior.rival_variance)
+        return replace(better, rival_variance=posterior.rival_variance, contested=posterior.contested)
 
     def deviation(self, posterior: Posterior) -> FloatArray:
         """Return the standard deviation of each component at the nodes, (n,) m."""

@@ -27,6 +27,7 @@ WELL = {
     "surprised": False,
     "moved": False,
     "attachment_moves": False,
+    "contested": False,
 }
 
 
@@ -42,6 +43,7 @@ def said(**wrong):
         observed=SimpleNamespace(field_components=(1, 2)),
         innovation=1.4,
         attachment_moves=found["attachment_moves"],
+        contested=found["contested"],
     )
     turn = Rotation.from_rotvec([found["off_rad"], 0.0, 0.0]).as_matrix()
     motion = RigidMotion(turn, CENTRE - turn @ CENTRE + [0.0, found["off_m"], 0.0])
@@ -75,6 +77,7 @@ def test_nothing_is_said_where_all_is_well():
         ({"off_m": 0.022}, "off by 22 mm and 5 degrees"),
         ({"off_rad": 0.21}, "off by 8 mm and 12 degrees"),
         ({"attachment_moves": True}, "an attachment that moves"),
+        ({"contested": True}, "held and registered as told, got what fits another better"),
         ({"plausible": False}, "torn or inverted"),
         ({"farthest_m": 0.051}, "some that move far more"),
     ],

@@ -6,12 +6,14 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 from threadpoolctl import ThreadpoolController
 
 from estimator.shapes import ellipsoid, ellipsoid_tets, organ_of
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
 from softtissue_estimator.estimators.elastic.linear_gaussian import LEAST_FIELD_SIGMA_M
+from softtissue_estimator.estimators.elastic.nodal_sigma import MODEL_ERROR_SHARE, nodal_sigma
 from softtissue_estimator.estimators.elastic.observed_pairs import PairsObservation
 from softtissue_estimator.estimators.elastic.posterior import rival_variance
 from softtissue_estimator.estimators.elastic.registration_error import expected_error, told_error
@@ -24,12 +26,15 @@ from softtissue_estimator.estimators.elastic.suppositions import (
     DRIFT_SHARE,
     LEAST_GAIN,
     LEAST_GAIN_OF_MOVING,
+    STEPS_BEFORE_BELIEF,
+    STEPS_BEFORE_DRIFT,
     decided,
     revised,
 )
 from softtissue_estimator.inference.device import one_thread
 from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.observation.patch_average import average_patches, fit_patches
+from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import sample_faces
 
 HALF_AXES = (0.08, 0.05, 0.04)
@@ -70,11 +75,16 @@ def explained(model, drift, held_at=-0.05, bend=1.5):
     return solver, solver.improve(solver.improve(solver.start(registration), guarded=True), guarded=True)
 
 
-def test_a_registration_that_drifted_is_doubted(model):
+def test_a_registration_that_drifted_is_doubted_at_once_and_believed_to_have_moved_later(model):
     solver, posterior = explained(model, DRIFT)
     known = RegistrationFilter(EXPECTED)
     known.supposed = posterior.registration
-    wider = revised(solver, posterior, known)
+    # Early it is a reason for doubt alone; what is likelier is part of the standard deviation.
+    contested = revised(solver, posterior, known, STEPS_BEFORE_DRIFT)
+    assert _same(contested, posterior) and contested.contested
+    assert float(contested.rival_variance.max()) > 0.001**2
+    wider = revised(solver, contested, known, STEPS_BEFORE_DRIFT + 1)
+    assert not wider.contested
     root = posterior.registration.root, DRIFT_SHARE * EXPECTED.root
     np.testing.assert_allclose(
         wider.registration.root @ wider.registration.root.T, root[0] @ root[0].T + root[1] @ root[1].T
@@ -113,7 +123,8 @@ def test_an_exact_registration_and_a_right_attachment_are_not_doubted(model, dri
     solver, posterior = explained(model, drift)
     known = RegistrationFilter(EXPECTED)
     known.supposed = posterior.registration
-    assert _same(revised(solver, posterior, known), posterior)
+    found = revised(solver, replace(posterior, contested=True), known)
+    assert _same(found, posterior) and not found.contested
 
 
 def _same(first, second):
@@ -182,11 +193,37 @@ def test_a_rival_counts_by_its_odds_and_by_how_far_it_is():
 
 def test_a_frame_goes_on_with_the_rivals_of_the_one_before(model):
     solver, posterior = explained(model, NONE)
-    doubted = replace(posterior, rival_variance=torch.full((len(model.mesh.nodes),), 4e-6))
+    doubted = replace(posterior, rival_variance=torch.full((len(model.mesh.nodes),), 4e-6), contested=True)
     followed = solver.follow(solver.warm_start(doubted), posterior.mean)
     np.testing.assert_array_equal(followed.rival_variance, doubted.rival_variance)
     assert solver.deviation(followed).min() > 0.002
     assert solver.improve(doubted, guarded=True).rival_variance is doubted.rival_variance
+    assert followed.contested and solver.improve(doubted, guarded=True).contested
+
+
+def test_an_error_of_the_registration_is_no_bending(model):
+    solver, posterior = explained(model, NONE)
+    nodes, unbent = torch.from_numpy(model.mesh.nodes), torch.zeros(len(model.mesh.nodes), 3).double()
+    turn = Rotation.from_rotvec([0.0, 0.1, 0.05]).as_matrix()
+    off = RigidMotion(turn, np.array([0.02, -0.01, 0.005]))
+    # The same organ, told to be elsewhere.
+    registration = replace(posterior.registration, correction=compose(posterior.registration.correction, off))
+    told = torch.from_numpy(off.undo(nodes.numpy())) - nodes
+    wrong = replace(posterior, registration=registration)
+    np.testing.assert_allclose(
+        nodal_sigma(wrong, nodes, told, solver.prior),
+        nodal_sigma(posterior, nodes, unbent, solver.prior),
+        rtol=1e-9,
+    )
+    # As far as the organ bends, elements and material are wrong.
+    bent = nodal_sigma(replace(posterior, mean=posterior.mean + 0.04), nodes, unbent, solver.prior)
+    assert bent.min() > 0.9 * MODEL_ERROR_SHARE * 0.04 * np.sqrt(3.0)
+
+
+def compose(second, first):
+    return RigidMotion(
+        second.rotation @ first.rotation, second.rotation @ first.translation + second.translation
+    )
 
 
 def test_a_frame_leaves_fields_of_errors_out_only_where_none_of_them_is_told(model):
@@ -220,8 +257,10 @@ def test_a_stream_finds_out_that_the_organ_is_held_elsewhere(model):
     assert not posterior.attachment_moves
     known = RegistrationFilter(EXPECTED)
     known.supposed = posterior.registration
-    other = revised(solver, posterior, known)
-    assert other.attachment_moves
+    early = revised(solver, posterior, known, STEPS_BEFORE_BELIEF)
+    assert early.contested and _same(early, posterior)
+    other = revised(solver, posterior, known, STEPS_BEFORE_BELIEF + 1)
+    assert other.attachment_moves and not other.contested
     assert other.registration is known.supposed
     assert not solver.prior.attachment_moves  # of the next frame it is said by what is known
 
