@@ -110,7 +110,7 @@ def test_answering_never_waits_for_a_factorisation(stream, monkeypatch):
 
 
 def test_on_a_slow_machine_one_frame_waits_in_vain_for_a_step_and_none_for_the_next(monkeypatch):
-    patience_s, go_on, made = 1.0, threading.Event(), []
+    patience_s, go_on, made = 3.0, threading.Event(), []
 
     def slow(task):
         go_on.wait(PATIENCE_S)
@@ -128,6 +128,7 @@ def test_on_a_slow_machine_one_frame_waits_in_vain_for_a_step_and_none_for_the_n
         return time.monotonic() - began >= patience_s
 
     try:
+        waits()  # the first takes longer than all others
         waited = [waits() for _ in range(50)]
         assert sum(waited) == 1
         go_on.set()
