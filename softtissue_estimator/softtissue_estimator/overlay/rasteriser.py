@@ -145,6 +145,14 @@ def edges_on(x: float, weights: Weights) -> tuple[Weights, Weights, Weights]:
 
 
 @inlined
+def columns_on(one: Weights, two: Weights, three: Weights, dy: float, columns: int) -> tuple[int, int]:
+    """Return the first and the last column between a triangle's sides, so many rows below its first corner."""
+    low = max(one[0] + one[1] * dy, two[0] + two[1] * dy, three[0] + three[1] * dy, 0.0)
+    high = min(one[2] + one[3] * dy, two[2] + two[3] * dy, three[2] + three[3] * dy, columns - 1.0)
+    return math.ceil(low - _TOUCHED), math.floor(high + _TOUCHED)
+
+
+@inlined
 def plane_on(values: Floats, corners: tuple[int, int, int], column: int, weights: Weights) -> Plane:
     """Return a value at a triangle's first corner, and by how much it grows from column to column and row to row."""
     first = float(values[corners[0], column])
@@ -176,9 +184,7 @@ def fill_depth(pixels: Floats, faces: Numbers, away: int, nearness: Floats) -> N
         start, across, down = plane_on(pixels, corners, 2, weights)
         for row in range(top, bottom + 1):
             dy = row - y
-            low = max(one[0] + one[1] * dy, two[0] + two[1] * dy, three[0] + three[1] * dy, 0.0)
-            high = min(one[2] + one[3] * dy, two[2] + two[3] * dy, three[2] + three[3] * dy, columns - 1.0)
-            first, last = math.ceil(low - _TOUCHED), math.floor(high + _TOUCHED)
+            first, last = columns_on(one, two, three, dy, columns)
             near = start + across * (first - x) + down * dy
             for column in range(first, last + 1):
                 if near > nearness[row, column]:
@@ -226,9 +232,7 @@ def fill_triangles(
         sigma0, sigma_across, sigma_down = plane_on(values, corners, 1, weights)
         for row in range(top, bottom + 1):
             dy = row - y
-            low = max(one[0] + one[1] * dy, two[0] + two[1] * dy, three[0] + three[1] * dy, 0.0)
-            high = min(one[2] + one[3] * dy, two[2] + two[3] * dy, three[2] + three[3] * dy, columns - 1.0)
-            first, last = math.ceil(low - _TOUCHED), math.floor(high + _TOUCHED)
+            first, last = columns_on(one, two, three, dy, columns)
             dx = first - x
             near = near0 + near_across * dx + near_down * dy
             light = shade0 + shade_across * dx + shade_down * dy

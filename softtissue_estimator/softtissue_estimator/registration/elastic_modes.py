@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from softtissue_estimator.estimators.estimator import Estimator
 from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_estimator.registration.pose_surface import surface_samples
+from softtissue_estimator.registration.smooth_bending import leading_modes
 from softtissue_estimator.registration.unknown_pose import rigid_columns
 
 FloatArray = NDArray[np.float64]
@@ -37,22 +38,16 @@ def elastic_modes(estimator: Estimator, surface: SurfaceMesh) -> NDArray[np.floa
     points, normals = surface_samples(surface)
     rigid = rigid_columns(points, normals)  # the pose is searched for anyway
     bent = [_bent(one.astype(np.float64), rigid) for one in estimator.compliances(points, normals)]
-    found = [_of_size_one(_leading(one, 2 * COUNT)) for one in bent if one is not None]
+    found = [_of_size_one(leading_modes(one, 2 * COUNT)) for one in bent if one is not None]
     if not found:
         return None
-    return np.asarray(_of_size_one(_leading(np.concatenate(found, axis=1), COUNT)), dtype=np.float32)
+    return np.asarray(_of_size_one(leading_modes(np.concatenate(found, axis=1), COUNT)), dtype=np.float32)
 
 
 def _bent(moved: FloatArray, rigid: FloatArray) -> FloatArray | None:
     """Return what displacements (s, p) do beside rigid ones; None where that is nothing."""
     bent = moved - rigid @ (rigid.T @ moved)
     return bent if np.linalg.norm(bent) > _LEAST_BENDING * np.linalg.norm(moved) else None
-
-
-def _leading(moved: FloatArray, count: int) -> FloatArray:
-    """Return orthogonal displacements (s, count) whose covariance is nearly that of the given ones, (s, p)."""
-    _, vectors = np.linalg.eigh(moved.T @ moved)
-    return np.asarray(moved @ vectors[:, : -count - 1 : -1])
 
 
 def _of_size_one(modes: FloatArray) -> FloatArray:

@@ -61,16 +61,12 @@ class SmoothBending:
         self.modes = _smooth_modes(surface)
         if elastic is not None:
             both = [ELASTIC_M * elastic.astype(np.float64), _SMOOTH_SHARE * self.modes]
-            self.modes = _leading(np.concatenate(both, axis=1))
+            self.modes = leading_modes(np.concatenate(both, axis=1), _MODES)
         arm = np.cross(surface.points - surface.centre, surface.normals)
         self._steps = np.array([_STEP_M] * 3 + [_STEP_M / _LEVER_M] * 3)
         self._with_steps = np.concatenate(
             [self.modes, np.hstack([surface.normals, arm]) * self._steps], axis=1
         )
-
-    def gain(self, fit: Fit) -> FloatArray:
-        """Bound the logarithm of how much likelier a cloud is under k poses than without the organ, (k,)."""
-        return self.explained(fit)[0]
 
     def explained(self, fit: Fit) -> tuple[FloatArray, FloatArray]:
         """Explain a cloud under k poses by an organ that bends.
@@ -78,7 +74,7 @@ class SmoothBending:
         Returns
         -------
         gain
-            (k,), as `gain`.
+            (k,), bound of the logarithm of how much likelier the cloud is than without the organ.
         bent
             (k, s) m, along their normals, where the surface's samples are then on average.
         """
@@ -157,13 +153,13 @@ def _smooth_modes(surface: PoseSurface) -> FloatArray:
         _covariance(surface, places, places) + 1e-6 * BENDING_M**2 * np.eye(len(places))
     )
     half = _covariance(surface, np.arange(len(surface.points)), places) @ (vectors / np.sqrt(values))
-    return _leading(half)
+    return leading_modes(half, _MODES)
 
 
-def _leading(modes: FloatArray) -> FloatArray:
-    """Return orthogonal modes (s, m) whose field has nearly the covariance of that of others."""
-    left, size, _ = np.linalg.svd(modes, full_matrices=False)
-    return np.asarray(left[:, :_MODES] * size[:_MODES])
+def leading_modes(displacements: FloatArray, count: int) -> FloatArray:
+    """Return orthogonal displacements (s, count), the largest first, with nearly the covariance of others, (s, p)."""
+    _, vectors = np.linalg.eigh(displacements.T @ displacements)
+    return np.asarray(displacements @ vectors[:, : -count - 1 : -1])
 
 
 def _covariance(surface: PoseSurface, some: IntArray, others: IntArray) -> FloatArray:

@@ -53,7 +53,7 @@ def test_grey_images(encoding):
 def test_masks_mark_every_pixel_that_is_not_0(encoding):
     stamp_ns, marked = read_mask(message(encoding, [0, 1], padding=5))
     assert stamp_ns == 7_000_000_009
-    np.testing.assert_array_equal(marked, np.tile(np.uint8([0, 255]), (3, 2)))
+    np.testing.assert_array_equal(marked, np.tile(np.uint8([0, 1]), (3, 2)))
 
 
 def test_mask_of_colours_is_refused():

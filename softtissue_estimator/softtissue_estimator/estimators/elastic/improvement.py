@@ -82,9 +82,9 @@ class Task:
 
         `share` is what the step is given on this machine over `given_s`.
         """
-        passed_s = stamp_s - self.stamp_s
         # Where few frames are answered, each step serves some of them; stamps may stand still or go back.
-        return frames >= _LEAST_FRAMES and not 0.0 < passed_s < share * self.given_s - _JITTER_S
+        early = 0.0 < self.passed(stamp_s) < share - _JITTER_S / self.given_s
+        return frames >= _LEAST_FRAMES and not early
 
     @property
     def given_s(self) -> float:

@@ -31,7 +31,6 @@ STEPS_BEFORE_BELIEF = 2
 """Steps after a start, before anything is believed to be wrong: the organ is not yet linear where it is."""
 STEPS_BEFORE_DRIFT = 4
 """The same before a drift is: an attachment that moves looks like one for want of motion."""
-ENOUGH_STEPS = STEPS_BEFORE_DRIFT + 1
 LEAST_GAIN_OF_DRIFT_INSTEAD = 12.0
 """Which gain over an attachment that was seen to move shows that it was the registration. Of six moving organs that are
 held elsewhere than was told one gains 3.5."""
@@ -65,7 +64,10 @@ class Supposition:
 
 
 def revised(
-    solver: Solver, posterior: Posterior, registration: RegistrationFilter, steps: int = ENOUGH_STEPS
+    solver: Solver,
+    posterior: Posterior,
+    registration: RegistrationFilter,
+    steps: int = STEPS_BEFORE_DRIFT + 1,
 ) -> Posterior:
     """Suppose that the registration has moved since it was learnt or that what holds the organ moves, if likelier.
 

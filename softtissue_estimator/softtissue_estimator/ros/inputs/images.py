@@ -84,7 +84,7 @@ def read_mask(message: Image) -> tuple[int, Pixels]:
     stamp : int
         Nanoseconds.
     marked : (rows, columns) uint8
-        255 where a pixel is not 0, else 0.
+        Not 0 where it has; a view of the message's own memory.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def read_mask(message: Image) -> tuple[int, Pixels]:
         As `read_image`; if it has another encoding than one byte a pixel.
     """
     pixels = _pixels(message, "mask", _MASKS)
-    return stamp_ns(message.header.stamp), np.where(pixels > 0, np.uint8(255), np.uint8(0))
+    return stamp_ns(message.header.stamp), pixels
 
 
 def _pixels(message: Image, what: str, encodings: Sequence[str]) -> Pixels:

@@ -157,7 +157,7 @@ def test_an_organ_that_is_held_by_less_than_was_told_is_not_taken_for_a_wrong_re
         solver, [registration_explained(solver, expected.scaled(scale)) for scale in expected.scales]
     )
     errors = [np.linalg.norm(each.mean.numpy() - truth, axis=1).mean() for each in (found, held)]
-    assert found.attachment_moves and errors[0] < 0.0006 < 0.002 < errors[1]
+    assert found.attachment_moves and errors[0] < 0.0006 < 0.003 < errors[1]
     assert np.linalg.norm(found.registration_after.correction.translation) < 0.0005
 
 
