@@ -24,11 +24,12 @@ from torch import Tensor
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.elastic.amplitudes import Amplitudes, Variances
-from softtissue_estimator.estimators.elastic.hyperelastic import Tangent, to_tensor
+from softtissue_estimator.estimators.elastic.hyperelastic import to_tensor
 from softtissue_estimator.estimators.elastic.linear_gaussian import mean_displacement, standard_deviation
 from softtissue_estimator.estimators.elastic.model import ElasticModel, build_model
 from softtissue_estimator.estimators.elastic.nodal_sigma import MODEL_ERROR_SHARE
 from softtissue_estimator.estimators.elastic.relevance import determine_relevance
+from softtissue_estimator.estimators.elastic.tangent import Tangent
 from softtissue_estimator.estimators.estimator import silent
 from softtissue_estimator.inference.device import choose_device
 from softtissue_estimator.observation.plane_normals import plane_normals

@@ -30,30 +30,14 @@ from softtissue_estimator.estimators.elastic.neo_hookean import (
     NeoHookeanElements,
     determinant,
 )
+from softtissue_estimator.estimators.elastic.tangent import Stiffness, Tangent
 from softtissue_estimator.organ.mesh import FloatArray
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
 _SMALLEST_STEP_SHARE = 0.05  # of a step that would collapse an element; where even this would, it is made
 _SHORTER_STEP = 0.7  # over the step tried before
-
-
-@dataclass(frozen=True, eq=False)
-class Tangent:
-    """An organ made linear about a deformation: displacement = offset + response a for loads B a.
-
-    Parameters
-    ----------
-    state : (n, 3) float64 m
-        Displacement about which it is linear.
-    offset : (n, 3) float64 m
-        Displacement without loads, to first order.
-    response : (3 n, 3 p) float32
-        K^-1 (B (x) I_3): displacement by unit loads; component a of node i is row 3 i + a.
-    """
-
-    state: Tensor
-    offset: Tensor
-    response: Tensor
+_LARGEST_CHANGE_SHARE = 0.5  # of how far the nodes moved: what forces change of a displacement to first order
+_NO_CHANGE_M = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +76,11 @@ class RestingBody:
             Displacement at which the springs are at rest.
         """
         count = len(state)
-        force = (self.springs @ (state - rest)) @ rotation
-        step = self.factor.solve(force.float().reshape(-1, 1))
-        offset = state - step.double().reshape(-1, 3) @ rotation.T
+        stiffness = Stiffness(self.factor, rotation)
+        offset = state - stiffness.displacement(self.springs @ (state - rest))
         by_node = self.response.view(count, 3, -1)
         turned = torch.einsum("ab,nbk->nak", rotation.float(), by_node).reshape(3 * count, -1)
-        return Tangent(state, offset, turned)
+        return Tangent(state, offset, turned, stiffness)
 
 
 class HyperelasticBody:
@@ -214,16 +197,46 @@ class HyperelasticBody:
         law = lame_constants(poisson_ratio)
         gradient = self.deformation_gradient(state)
         elements = self._elements.response(gradient, *law)
-        force = self._nodal_force(elements.stress) + self._springs @ (state - rest)
+        force = self._force(elements, state, rest)
         factor = self._factor(elements, *law)
         if factor is None:
             # Compressed or overstretched so far that it would buckle; the corotated stiffness is always positive.
             factor = self._factor(self._elements.corotated(gradient, *law), *law)
         if factor is None:
             raise OrganError("elastic model: expected a stiffness that can be factorised, got a singular one")
-        step = factor.solve(force.float().reshape(-1, 1))
-        offset = state - step.double().reshape(-1, 3)
-        return Tangent(state, offset, factor.solve(self._loads))
+        stiffness = Stiffness(factor)
+        offset = state - stiffness.displacement(force)
+        return Tangent(state, offset, factor.solve(self._loads), stiffness)
+
+    def linearise_on(self, tangent: Tangent, state: Tensor, rest: Tensor, poisson_ratio: float) -> Tangent:
+        """Make the body linear about a displacement with the stiffness that it had about one nearby.
+
+        A step of the modified Newton method: the forces are those of the new state, which takes no factorisation.
+
+        Parameters
+        ----------
+        tangent : Tangent
+            About the other displacement, with the same Poisson's ratio.
+        state : (n, 3) float64 m
+            Towards which it goes, as far as no sound element collapses on the way.
+        rest : (n, 3) float64 m
+            Displacement at which the springs are at rest.
+        poisson_ratio : float
+            From 0 to below 0.5.
+
+        Raises
+        ------
+        InvalidInputError
+            For another Poisson's ratio.
+        """
+        state = self.guarded(tangent.state, state)
+        elements = self._elements.response(self.deformation_gradient(state), *lame_constants(poisson_ratio))
+        offset = state - tangent.stiffness.displacement(self._force(elements, state, rest))
+        # With the stiffness of a state far away such steps may lead further and further away.
+        change = offset - tangent.offset
+        most = _LARGEST_CHANGE_SHARE * float((state - tangent.state).abs().max())
+        change *= min(1.0, most / max(float(change.abs().max()), most, _NO_CHANGE_M))
+        return replace(tangent, state=state, offset=tangent.offset + change)
 
     def guarded(self, start: Tensor, end: Tensor) -> Tensor:
         """Go from one displacement (n, 3) m towards another, as far as no sound element collapses on the way."""
@@ -238,9 +251,11 @@ class HyperelasticBody:
             share *= _SHORTER_STEP
         return start + share * (end - start)
 
-    def _nodal_force(self, stress: Tensor) -> Tensor:
-        corner = torch.einsum("eab,eib->eia", stress * self.volumes[:, None, None], self._gradients)
-        force = torch.zeros_like(self._nodes)
+    def _force(self, elements: ElementResponse, state: Tensor, rest: Tensor) -> Tensor:
+        """Nodal forces by which elements and springs resist a displacement, (n, 3)."""
+        stress = elements.stress * self.volumes[:, None, None]
+        corner = torch.einsum("eab,eib->eia", stress, self._gradients)
+        force = self._springs @ (state - rest)
         return force.index_add_(0, self._tets.reshape(-1), corner.reshape(-1, 3))
 
     def _factor(self, elements: ElementResponse, lame: float, shear: float) -> LayeredFactor | None:

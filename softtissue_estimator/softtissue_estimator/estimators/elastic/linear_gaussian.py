@@ -23,9 +23,9 @@ from softtissue_estimator.estimators.elastic.amplitudes import (
     Variances,
     invert_lower,
 )
-from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.observed_nodes import ObservedNodes
 from softtissue_estimator.estimators.elastic.relevance import determine_relevance
+from softtissue_estimator.estimators.elastic.tangent import Tangent
 
 LEAST_FIELD_SIGMA_M = 5e-5
 """Standard deviation of the field of errors, at least: neighbours err together by as much, however good."""

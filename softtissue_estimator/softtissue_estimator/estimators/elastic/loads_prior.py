@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.linear_gaussian import equal_variances
+from softtissue_estimator.estimators.elastic.tangent import Tangent
 
 _HELD_SHARE = 1e-9
 """Of the variance of a load that pushes: with it what holds the organ stays where it is."""

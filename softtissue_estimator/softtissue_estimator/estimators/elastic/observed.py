@@ -8,8 +8,8 @@ from typing import Protocol
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.amplitudes import Amplitudes, Variances
-from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
+from softtissue_estimator.estimators.elastic.tangent import Tangent
 from softtissue_estimator.organ.mesh import BoolArray, FloatArray
 
 

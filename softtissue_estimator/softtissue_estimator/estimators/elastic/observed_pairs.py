@@ -16,7 +16,6 @@ import torch
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.amplitudes import Variances
-from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.linear_gaussian import (
     LEAST_FIELD_SIGMA_M,
     Errors,
@@ -33,6 +32,7 @@ from softtissue_estimator.estimators.elastic.smooth_error import (
     field_columns,
     log_prior,
 )
+from softtissue_estimator.estimators.elastic.tangent import Tangent
 from softtissue_estimator.observation.patch_average import ObservedPatches
 from softtissue_estimator.organ.mesh import BoolArray, FloatArray, unit_rows
 

@@ -19,13 +19,13 @@ from torch import Tensor
 from softtissue_estimator.errors import OrganNotFoundError
 from softtissue_estimator.estimators.elastic.amplitudes import Amplitudes, Variances
 from softtissue_estimator.estimators.elastic.closest_points import MovedSurface
-from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.linear_gaussian import LEAST_FIELD_SIGMA_M, mean_displacement
 from softtissue_estimator.estimators.elastic.observed import Conditioned, Explained
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.relevance import determine_relevance
 from softtissue_estimator.estimators.elastic.smooth_error import field_columns, log_prior
 from softtissue_estimator.estimators.elastic.surface_rows import normal_rows, tangent_rows
+from softtissue_estimator.estimators.elastic.tangent import Tangent
 from softtissue_estimator.observation.patch_average import ObservedPatches
 from softtissue_estimator.observation.seen_surface import SeenSurface
 from softtissue_estimator.organ.mesh import BoolArray, FloatArray

@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError, jacobian
+from softtissue_estimator.estimators.elastic.tangent import Tangent
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import FloatArray
 

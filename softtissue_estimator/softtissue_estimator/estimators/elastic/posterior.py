@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.amplitudes import Amplitudes, Variances
-from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.observed import Observed
 from softtissue_estimator.estimators.elastic.own_motion import OwnMotion
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
+from softtissue_estimator.estimators.elastic.tangent import Tangent
 from softtissue_estimator.organ.mesh import FloatArray
 
 
@@ -75,7 +75,7 @@ class Posterior:
         """Return the same with some of the loads alone, (l,) their numbers."""
         columns = (3 * kept[:, None] + torch.arange(3, device=kept.device)).reshape(-1)
         whole = self.tangent
-        tangent = Tangent(whole.state, whole.offset, whole.response[:, columns].contiguous())
+        tangent = replace(whole, response=whole.response[:, columns].contiguous())
         return replace(self, tangent=tangent, amplitudes=self.amplitudes.with_loads(kept))
 
     @property

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.amplitudes import Variances
-from softtissue_estimator.estimators.elastic.hyperelastic import Tangent, to_tensor
+from softtissue_estimator.estimators.elastic.hyperelastic import to_tensor
 from softtissue_estimator.estimators.elastic.leading_loads import leading_loads
 from softtissue_estimator.estimators.elastic.loads_prior import LoadsPrior
 from softtissue_estimator.estimators.elastic.misfit import Misfit
@@ -24,6 +24,7 @@ from softtissue_estimator.estimators.elastic.own_motion import beside_own_motion
 from softtissue_estimator.estimators.elastic.plausibility import plausible_fit
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart, warm_start
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
+from softtissue_estimator.estimators.elastic.tangent import Tangent
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.observation.seen_surface import CELL_M
 from softtissue_estimator.organ.mesh import FloatArray
@@ -138,21 +139,21 @@ class Solver:
         """
         observed = self._observation.about(predicted, self.registration, REACH_M)
         weight, sigma = np.ones(len(observed.precision)), start.model_sigma_m
-        least = LEAST_START_SHARE * self.prior.variances(start.tangent, observed.nodes, start.loads)
+        ratio = self._model.ratios.ratios[start.ratio]
+        tangent = self._model.body.linearise_on(start.tangent, predicted, self._rest, ratio)
+        least = LEAST_START_SHARE * self.prior.variances(tangent, observed.nodes, start.loads)
         earlier = start.variances.going_on(self._first_fields)
-        variances = earlier.at_least_each(least)
         for turn in range(self._observation.turns):
             explain = partial(
                 self._explain,
                 observed,
-                start.tangent,
+                tangent,
                 self.registration,
-                variances,
+                earlier.at_least_each(least),
                 weight=weight,
                 updates=1,
                 ratio=start.ratio,
-                # What is larger than all errors before is a motion of the organ.
-                most_fields=earlier.fields,
+                most_fields=earlier.fields,  # what is larger than all errors before is a motion
             )
             posterior = self._plausible(explain, sigma, observed)
             if not turn:  # the error of the model is still that of before
@@ -162,8 +163,7 @@ class Solver:
                 observed, residual = self._observation.anew(posterior, REACH_M)
             weight = self._misfit.weights(observed, residual, posterior.model_sigma_m)
             misfit = self._misfit.unexplained(observed, residual, weight)
-            # Loads that explained the earlier observation closely explain this one at any price, however far they move
-            # what is hidden.
+            # Loads that explained the earlier observation closely explain this one at any price.
             sigma = max(sigma, self._misfit.model_sigma(misfit))
             settled = observed is posterior.observed and weight.min() == 1.0
             if settled and sigma <= _LARGER_MODEL_SIGMA_RATIO * posterior.model_sigma_m:

@@ -16,8 +16,8 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.closest_points import ClosestPoints, MaterialPoints
-from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
+from softtissue_estimator.estimators.elastic.tangent import Tangent
 from softtissue_estimator.observation.patch_average import ObservedPatches
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.observation.seen_surface import SeenSurface

@@ -77,6 +77,36 @@ def test_newton_steps_find_the_equilibrium_of_an_independent_implementation(rati
     np.testing.assert_allclose(inner, LOADS @ force.numpy(), atol=1e-6 * float(force.abs().max()) * 10)
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_with_the_stiffness_of_a_state_nearby_steps_find_the_same_equilibrium(turned):
+    """The forces are exact, whatever the stiffness: it decides how many steps it takes, not where they end."""
+    turn = torch.from_numpy(rotation([1, 2, -1], 0.3)) if turned else torch.eye(3, dtype=torch.float64)
+    nodes = torch.from_numpy(MESH.nodes)
+    rest = nodes @ turn.T - nodes
+    force = 0.05 * torch.tensor([[0.0, 0.0, 1.5e-4], [0.0, 1e-4, 1e-4]], dtype=torch.float64) @ turn.T
+    start = BODY.at_rest(RATIO).linearise_moved(turn, rest, rest)
+    tangent, state = start, rest
+    for _ in range(25):
+        tangent = BODY.linearise_on(tangent, state, rest, RATIO)
+        assert tangent.stiffness is start.stiffness and tangent.response is start.response
+        # There the loads turn with the body.
+        moved = start.response.double() @ (force @ turn).reshape(-1)
+        state = tangent.offset + moved.reshape(-1, 3)
+    exact = BODY.linearise(state, rest, RATIO)
+    left = exact.offset + (exact.response.double() @ force.reshape(-1)).reshape(-1, 3) - state
+    linear = start.offset + moved.reshape(-1, 3) - state
+    # Responses are in single precision.
+    assert float(left.abs().max()) < 2e-3 * float((state - rest).abs().max())
+    assert float(linear.abs().max()) > 0.03 * float((state - rest).abs().max())
+
+
+def test_a_step_with_another_states_stiffness_stops_before_a_sound_element_collapses():
+    end = NONE.clone()
+    end[:, 0] = torch.from_numpy(-1.5 * MESH.nodes[:, 0])
+    tangent = BODY.linearise_on(BODY.linearise(NONE, NONE, RATIO), end, NONE, RATIO)
+    assert torch.equal(tangent.state, BODY.guarded(NONE, end)) and bool(tangent.offset.isfinite().all())
+
+
 def test_a_rigid_motion_costs_nothing_and_turns_the_response():
     turn, shift = rotation([1, 2, -1], 0.9), np.array([0.1, -0.2, 0.05])
     moved = torch.from_numpy(MESH.nodes @ turn.T + shift - MESH.nodes)

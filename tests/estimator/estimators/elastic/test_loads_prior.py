@@ -1,14 +1,19 @@
 """What loads there may be before anything is observed."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 import torch
 
-from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
+from softtissue_estimator.estimators.elastic.layered_cholesky import LayeredFactor, Layers
 from softtissue_estimator.estimators.elastic.loads_prior import LoadsPrior
+from softtissue_estimator.estimators.elastic.tangent import Stiffness, Tangent
 
 NODES = torch.arange(4)
 RESPONSE = torch.randn(12, 15, generator=torch.Generator().manual_seed(1))
-TANGENT = Tangent(torch.zeros(4, 3), torch.zeros(4, 3), RESPONSE)
+NOTHING = Stiffness(LayeredFactor(Layers(np.arange(0), np.arange(1)), [], []))
+TANGENT = Tangent(torch.zeros(4, 3), torch.zeros(4, 3), RESPONSE, NOTHING)
 
 
 def spread(variances, loads):
@@ -28,7 +33,7 @@ def test_loads_that_push_move_the_organ_as_far_as_expected_whatever_else_may(mov
 
 
 def test_of_some_loads_those_that_push_are_told_by_their_numbers():
-    part = Tangent(TANGENT.state, TANGENT.offset, RESPONSE[:, 6:].contiguous())
+    part = replace(TANGENT, response=RESPONSE[:, 6:].contiguous())
     loads = torch.tensor([2, 3, 4])
     variances = LoadsPrior(0.01, 3).variances(part, NODES, loads)
     assert variances[0] > 1e6 * variances[1] == 1e6 * variances[2]

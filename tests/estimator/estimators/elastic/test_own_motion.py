@@ -9,9 +9,9 @@ import torch
 from estimator.shapes import ellipsoid, ellipsoid_tets, organ_of
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
-from softtissue_estimator.estimators.elastic.hyperelastic import Tangent
 from softtissue_estimator.estimators.elastic.own_motion import beside_own_motion, own_motion
 from softtissue_estimator.estimators.elastic.registration_error import expected_error
+from softtissue_estimator.estimators.elastic.tangent import Tangent
 from softtissue_estimator.observation.observation import Observation
 from softtissue_estimator.observation.rigid import RigidMotion, fit_rigid
 from softtissue_estimator.organ.mesh import sample_faces
@@ -53,7 +53,7 @@ def test_loads_bend_an_organ_that_has_a_motion_of_its_own(model):
 
 
 def test_loads_move_an_organ_that_is_held(model):
-    tangent = Tangent(*(torch.zeros(1) for _ in range(3)))
+    tangent = Tangent(*(torch.zeros(1) for _ in range(4)))
     assert beside_own_motion(tangent, model.nodes, expected_error(ORGAN.centre, 0.01, 0.1)) is tangent
 
 

@@ -178,6 +178,30 @@ def test_the_tissue_is_recognised_while_the_organ_is_watched():
         stream.close()
 
 
+def test_forces_follow_an_organ_that_the_thread_has_not_caught_up_with(monkeypatch):
+    """Between two of its steps an organ that bends further is not linear about the earlier one."""
+    points, hidden = observed(0.0).reference, 0.9 * SURFACE.vertices[SURFACE.vertices[:, 2] < 0.0]
+    mesh = ellipsoid_tets((0.08, 0.05, 0.04))
+    truths = [pushed(mesh, KNOWN.poisson_ratio, share) for share in (-1.0, 0.0, 1.0)]
+    # Each frame with a step of the thread, and then some that follow too soon for one.
+    frames = [(1.5 * number, truths[0]) for number in range(6)]
+    frames += [(7.5 + 0.05 * (number + 1), truths[min(1 + number // 2, 2)]) for number in range(6)]
+    errors = []
+    for follows in (True, False):
+        if not follows:
+            monkeypatch.setattr(HyperelasticBody, "linearise_on", lambda _, tangent, *others: tangent)
+        stream = ElasticEstimator(dataclasses.replace(KNOWN, tracking=True, tracking_patience_s=PATIENCE_S))
+        stream.load_organ(ORGAN)
+        seen_at, hidden_at = stream.interpolation(points), stream.interpolation(hidden)
+        for stamp_s, truth in frames:
+            seen = Observation(points, seen_at @ truth, np.full(len(points), 0.0002), stamp_s=stamp_s)
+            answer = stream.estimate(seen)
+        stream.close()
+        left = answer.displacement_at(hidden)[0] - hidden_at @ truth
+        errors.append(np.linalg.norm(left, axis=1).mean())
+    assert errors[0] < 0.7 * errors[1]
+
+
 def test_one_frame_alone_starts_anew_however_long_the_thread_takes(stream, monkeypatch):
     """The start takes long; what comes before the thread has made a step follows it."""
     released, starts = threading.Event(), []
