@@ -15,7 +15,7 @@ MODEL_ERROR_SHARE = 0.025
 LEAST_VARIANCE_SHARE = 1e-3
 """Of a load's variance before any observation, which stays in the standard deviation: relevance determination prunes
 the loads that nothing was seen of, and with them the doubt about what is hidden."""
-LEAST_DEVIATION_M = 5e-5  # standard deviation of any answer, for all that the model does not describe
+LEAST_DEVIATION_M = 2e-5  # standard deviation of any answer, for all that the model does not describe
 
 
 def nodal_sigma(posterior: Posterior, nodes: Tensor, moved: Tensor, prior: LoadsPrior) -> FloatArray:
