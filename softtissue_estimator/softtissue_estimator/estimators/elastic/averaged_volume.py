@@ -46,10 +46,14 @@ class AveragedVolume:
         begin = np.concatenate([[0], np.cumsum(size)])[:-1][node]
         within = np.arange(len(first)) - np.repeat(np.cumsum(size[node]) - size[node], size[node])
         second = begin[first] + within
-        self._first, self._second = (torch.from_numpy(index).to(device) for index in (first, second))
         dof = 3 * other[:, None] + np.arange(3)
         rows, columns = np.broadcast_arrays(dof[first][:, :, None], dof[second][:, None, :])
-        self._entry = torch.from_numpy(layers.positions(rows.reshape(-1), columns.reshape(-1))).to(device)
+        entry = layers.positions(rows.reshape(-1), columns.reshape(-1)).reshape(-1, 9)
+        kept = ~layers.unused(entry[:, 0])  # the nodes of a pair lie in one layer each
+        self._first, self._second, self._entry = (
+            torch.from_numpy(index).to(device)
+            for index in (first[kept], second[kept], entry[kept].reshape(-1))
+        )
 
     def pressure(self, strain: Tensor, lame: float) -> Tensor:
         """Return what stands for lambda ln J in every element.

@@ -8,7 +8,7 @@ iteration converges, in single.
 """
 
 import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -54,6 +54,20 @@ class Tangent:
     state: Tensor
     offset: Tensor
     response: Tensor
+    _powers: list[tuple[Tensor, Tensor]] = field(default_factory=list, init=False)
+
+    def powers(self, nodes: Tensor) -> Tensor:
+        """Return the mean square of what each load moves nodes (s,) by, of its three components together, (p,) m^2.
+
+        Asked of the same nodes several times a step, and computed once.
+        """
+        for asked, known in self._powers:
+            if asked is nodes:
+                return known
+        response = self.response.view(len(self.state), 3, -1).index_select(0, nodes)
+        found = response.square().sum(dim=1).mean(dim=0).view(-1, 3).sum(dim=1)
+        self._powers[:] = [(nodes, found)]
+        return found
 
 
 @dataclass(frozen=True, eq=False)

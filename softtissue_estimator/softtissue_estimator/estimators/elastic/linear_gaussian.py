@@ -81,10 +81,9 @@ def equal_variances(
     tangent: Tangent, nodes: Tensor, prior_sigma_m: float, pushing: slice | Tensor = _ALL
 ) -> Tensor:
     """Variance of every load, all the same, (p,), with which those that push move the nodes (s,) by `prior_sigma_m`."""
-    response = _response(tangent, nodes)
-    by_load = response.square().sum(dim=1).mean(dim=0).view(-1, 3).sum(dim=1)
-    power = by_load[pushing].sum().double() / 3.0
-    return (prior_sigma_m**2 / power).repeat(response.shape[2] // 3)
+    powers = tangent.powers(nodes)
+    power = powers[pushing].sum().double() / 3.0
+    return (prior_sigma_m**2 / power).repeat(len(powers))
 
 
 def condition(
@@ -128,7 +127,7 @@ def _normal_equations(
     count, _, width = direct.shape
     flat = direct.reshape(3 * count, width)
     weighted = normal @ direct.reshape(count, 3 * width)
-    outer = _symmetric(flat, weighted.reshape(3 * count, width))
+    outer = symmetric_product(flat, weighted.reshape(3 * count, width))
     if not columns.shape[1]:
         return outer, flat.T @ right.reshape(-1)
     # What a field moves along one axis tells nothing of another one.
@@ -145,7 +144,7 @@ def _normal_equations(
     return gram, torch.cat([told, flat.T @ right.reshape(-1)])
 
 
-def _symmetric(left: Tensor, right: Tensor) -> Tensor:
+def symmetric_product(left: Tensor, right: Tensor) -> Tensor:
     """Return left^T right, (w, w), which is known to be symmetric: half of it is mirrored."""
     width = left.shape[1]
     found = left.new_empty(width, width)

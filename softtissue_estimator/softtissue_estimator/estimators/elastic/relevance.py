@@ -18,7 +18,6 @@ from softtissue_estimator.estimators.elastic.amplitudes import (
     Amplitudes,
     FieldValues,
     Variances,
-    invert_lower,
     parameters_of,
     posterior_factor,
     slices,
@@ -117,7 +116,7 @@ def _reestimated(
     part = Variances(variances.loads[kept], variances.fields[: len(field_values)])
     factor, mean = posterior_factor(gram, right, part, field_values)
     # Posterior over prior variance.
-    remaining = invert_lower(factor).square().sum(dim=0)
+    remaining = torch.cholesky_inverse(factor).diagonal()
     ours = slice(sum(field_values), sum(field_values) + 3 * len(kept))
     determined = (1.0 - remaining[ours].view(-1, 3).mean(dim=1)).clamp_min(_LEAST_DETERMINED_SHARE)
     fixed_point = mean[ours].square().view(-1, 3).mean(dim=1) / determined
