@@ -76,7 +76,7 @@ class Posterior:
         """Return the same with some of the loads alone, (l,) their numbers."""
         columns = (3 * kept[:, None] + torch.arange(3, device=kept.device)).reshape(-1)
         whole = self.tangent
-        tangent = Tangent(whole.state, whole.offset, whole.response[:, columns].contiguous())
+        tangent = Tangent(whole.state, whole.offset, whole.response.index_select(1, columns))
         return replace(self, tangent=tangent, amplitudes=self.amplitudes.with_loads(kept))
 
     @property

@@ -18,6 +18,7 @@ from softtissue_estimator.estimators.elastic.amplitudes import (
     Amplitudes,
     FieldValues,
     Variances,
+    invert_lower,
     parameters_of,
     posterior_factor,
     slices,
@@ -112,11 +113,11 @@ def _reestimated(
     """Re-estimate the variances of the loads that are kept and of the field; also (J^T S^-1 y) . a as they were."""
     if len(kept) < len(variances.loads):
         used = parameters_of(kept, sum(field_values), len(variances.loads), len(right))
-        gram, right = gram[used[:, None], used], right[used]
+        gram, right = gram.index_select(0, used).index_select(1, used), right[used]
     part = Variances(variances.loads[kept], variances.fields[: len(field_values)])
     factor, mean = posterior_factor(gram, right, part, field_values)
     # Posterior over prior variance.
-    remaining = torch.cholesky_inverse(factor).diagonal()
+    remaining = invert_lower(factor).square_().sum(dim=0)
     ours = slice(sum(field_values), sum(field_values) + 3 * len(kept))
     determined = (1.0 - remaining[ours].view(-1, 3).mean(dim=1)).clamp_min(_LEAST_DETERMINED_SHARE)
     fixed_point = mean[ours].square().view(-1, 3).mean(dim=1) / determined
