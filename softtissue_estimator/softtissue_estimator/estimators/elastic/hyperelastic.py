@@ -160,8 +160,10 @@ class HyperelasticBody:
         each = (gradients * mesh.volumes[:, None, None]) @ gradients.transpose(0, 2, 1)
         np.add.at(dots, (mesh.tets[:, :, None], mesh.tets[:, None, :]), each)
         self._held, self._sheared = (
-            torch.from_numpy(self._layers.store(np.kron(nodal, np.eye(3)))).float().to(device)
-            for nodal in (np.asarray(springs, dtype=np.float64), dots)
+            torch.from_numpy(self._layers.store(np.asarray(np.kron(nodal, np.eye(3)), np.float64)))
+            .float()
+            .to(device)
+            for nodal in (springs, dots)
         )
 
     def with_more_loads(
