@@ -29,8 +29,19 @@ def farthest_points(
         How far the farthest of the others is from the nearest of them, m.
     """
     chosen = [first]
-    nearest = np.square(points - points[first]).sum(axis=1)
-    while len(chosen) < most and nearest.max() >= spacing_m**2 and nearest.max() > 0.0:
-        chosen.append(int(nearest.argmax()))
-        np.minimum(nearest, np.square(points - points[chosen[-1]]).sum(axis=1), out=nearest)
+    # By coordinates: sums over three numbers a row take several times as long.
+    axes = np.ascontiguousarray(points.T)
+    nearest = _squared_distances(axes, first)
+    while len(chosen) < most:
+        farthest = int(nearest.argmax())
+        if nearest[farthest] < spacing_m**2 or nearest[farthest] == 0.0:
+            break
+        chosen.append(farthest)
+        np.minimum(nearest, _squared_distances(axes, farthest), out=nearest)
     return np.array(chosen, dtype=np.int64), float(np.sqrt(nearest.max()))
+
+
+def _squared_distances(axes: FloatArray, one: int) -> FloatArray:
+    """Return the squared distances (n,) m^2 of points, given by axes (3, n) m, from one of them."""
+    x, y, z = np.square(axes - axes[:, one, None])
+    return np.asarray(x + y + z)

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.layered_cholesky import Layers
+from softtissue_estimator.estimators.elastic.outer_products import OuterProducts
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
 
@@ -46,10 +47,8 @@ class AveragedVolume:
         begin = np.concatenate([[0], np.cumsum(size)])[:-1][node]
         within = np.arange(len(first)) - np.repeat(np.cumsum(size[node]) - size[node], size[node])
         second = begin[first] + within
-        self._first, self._second = (torch.from_numpy(index).to(device) for index in (first, second))
         dof = 3 * other[:, None] + np.arange(3)
-        rows, columns = np.broadcast_arrays(dof[first][:, :, None], dof[second][:, None, :])
-        self._entry = torch.from_numpy(layers.positions(rows.reshape(-1), columns.reshape(-1))).to(device)
+        self._pairs = OuterProducts(first, second, dof[first], dof[second], layers, device)
 
     def pressure(self, strain: Tensor, lame: float) -> Tensor:
         """Return what stands for lambda ln J in every element.
@@ -80,8 +79,7 @@ class AveragedVolume:
         strain = torch.zeros((len(self._node), 3), dtype=derivative.dtype, device=derivative.device)
         strain.index_add_(0, self._slot, by_pair)
         strain *= (lame / self._volume).sqrt().to(strain.dtype)[self._node, None]
-        products = strain[self._first][:, :, None] * strain[self._second][:, None, :]
-        stiffness.index_add_(0, self._entry, products.reshape(-1))
+        self._pairs.add(stiffness, strain, strain)
 
     def _sum_at_nodes(self, values: Tensor, count: int) -> Tensor:
         """Sum values of elements, weighted by a quarter of their volume, at their corners, (n,)."""

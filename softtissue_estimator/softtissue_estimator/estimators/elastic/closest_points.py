@@ -20,6 +20,7 @@ from softtissue_estimator.organ.volume_mesh import VolumeMesh
 
 LEAST_COSINE = 0.5
 """Of the angle between the normals of a place and of its nearest point, where both show the same surface."""
+_LEAF = 64  # samples, as many as are looked at one after the other
 _BESIDE_M = 0.003  # along the surface from the nearest sample: farther away is beyond its rim
 _LEAST_VOLUME_RATIO = 0.05  # of a tetrahedron over its volume at rest: with less, places in it mean nothing
 
@@ -99,6 +100,7 @@ class MovedSurface:
         self._weights = mesh.weights(self._samples, sample_tet)
         self._interpolation = mesh.interpolation_in(self._samples, sample_tet)
         self._normal = _rest_normals(organ.surface, self._samples)
+        self._carried = self._carried_normals(self._normal, sample_tet)
 
     def closest(
         self, displacement: FloatArray, positions: FloatArray, normals: FloatArray, *, oriented: bool
@@ -116,10 +118,10 @@ class MovedSurface:
             Whether the sign of these says something.
         """
         moved = self._samples + self._interpolation @ displacement
-        # Unbalanced, the tree is made in half the time, and points of a surface are spread evenly.
-        sample = cKDTree(moved, balanced_tree=False, compact_nodes=False).query(positions)[1]
+        # Unbalanced and with large leaves, the tree is made in half the time; points of a surface are spread evenly.
+        sample = cKDTree(moved, _LEAF, balanced_tree=False, compact_nodes=False).query(positions)[1]
         tet = self._tet[sample]
-        normal = self._turned(self._normal[sample], tet, displacement)
+        normal = self._turned(self._carried[sample], tet, displacement)
         agreement = np.einsum("cd,cd->c", normal, normals)
         facing = (agreement if oriented else np.abs(agreement)) >= LEAST_COSINE
         return ClosestPoints(
@@ -141,7 +143,7 @@ class MovedSurface:
 
     def normals(self, points: MaterialPoints, displacement: FloatArray) -> FloatArray:
         """Return the normals (c, 3) of the surface, as nodal displacements (n, 3) m move it, where points are."""
-        return self._turned(points.rest_normal, points.tet, displacement)
+        return self._turned(self._carried_normals(points.rest_normal, points.tet), points.tet, displacement)
 
     def material(self, found: ClosestPoints, displacement: FloatArray, positions: FloatArray) -> FloatArray:
         """Say which points of the preoperative surface are at positions, (c, 3) m.
@@ -172,13 +174,31 @@ class MovedSurface:
         edges = (corners[:, :3] - corners[:, 3:]).transpose(0, 2, 1)
         return np.asarray(edges @ mesh.inverse_edges[tet])
 
-    def _turned(self, normal: FloatArray, tet: IntArray, displacement: FloatArray) -> FloatArray:
-        """Return normals (c, 3) of the surface as it has moved, from those at rest: cof(F) N, without its length."""
-        first, second, third = self._gradient(tet, displacement).transpose(2, 0, 1)  # columns of F
-        turned = normal[:, :1] * np.cross(second, third)
-        turned += normal[:, 1:2] * np.cross(third, first)
-        turned += normal[:, 2:] * np.cross(first, second)
-        return unit_rows(turned)
+    def _carried_normals(self, normal: FloatArray, tet: IntArray) -> FloatArray:
+        """Return normals (c, 3) at rest by the edges of their tetrahedra: cof(E^-1) N, E the edges at rest."""
+        first, second, third = self._mesh.inverse_edges[tet].transpose(2, 0, 1)  # columns of E^-1
+        carried = normal[:, :1] * np.cross(second, third)
+        carried += normal[:, 1:2] * np.cross(third, first)
+        carried += normal[:, 2:] * np.cross(first, second)
+        return unit_rows(carried)
+
+    def _turned(self, carried: FloatArray, tet: IntArray, displacement: FloatArray) -> FloatArray:
+        """Return normals (c, 3) of the surface as it has moved, from those by the edges: cof(F) N, without its length.
+
+        With e the edges as they have moved, F = e E^-1, and cof(F) N = cof(e) cof(E^-1) N.
+        """
+        corners = np.ascontiguousarray((self._mesh.nodes + displacement).T)[:, self._mesh.tets.T[:, tet]]
+        first, second, third = (corners[:, edge] - corners[:, 3] for edge in range(3))
+        turned = carried[:, 0] * _cross(second, third)
+        turned += carried[:, 1] * _cross(third, first)
+        turned += carried[:, 2] * _cross(first, second)
+        return unit_rows(np.ascontiguousarray(turned.T))
+
+
+def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the cross products (3, c) of vectors (3, c), given by axes."""
+    (a, b, c), (x, y, z) = first, second
+    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x])
 
 
 def _rest_normals(surface: SurfaceMesh, samples: FloatArray) -> FloatArray:

@@ -30,6 +30,7 @@ from softtissue_estimator.estimators.elastic.neo_hookean import (
     NeoHookeanElements,
     determinant,
 )
+from softtissue_estimator.estimators.elastic.outer_products import OuterProducts
 from softtissue_estimator.estimators.elastic.tangent import Stiffness, Tangent
 from softtissue_estimator.organ.mesh import FloatArray
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
@@ -118,19 +119,21 @@ class HyperelasticBody:
         self._layers = _layers(mesh, springs)
         self._averaged = AveragedVolume(mesh, self._layers, device)
         self._elements = NeoHookeanElements(self._gradients, self._averaged)
-        dof = 3 * mesh.tets[:, :, None] + np.arange(3)  # (m, 4, 3)
-        rows, columns = np.broadcast_arrays(dof[:, :, :, None, None], dof[:, None, None])
-        self._entry = torch.from_numpy(self._layers.positions(rows.reshape(-1), columns.reshape(-1))).to(
-            device
-        )
+        corners = np.arange(mesh.tets.size).reshape(-1, 1, 4).repeat(4, axis=1)
+        first, second = corners.transpose(0, 2, 1).reshape(-1), corners.reshape(-1)
+        dof = 3 * mesh.tets.reshape(-1, 1) + np.arange(3)
+        self._blocks = OuterProducts(first, second, dof[first], dof[second], self._layers, device)
         # What every tangent shares: the springs, and mu times V g_i . g_j on the diagonal of each block.
-        weighted = self._gradients * self.volumes[:, None, None]
-        identity = torch.eye(3, dtype=torch.float64, device=device)
-        dots = torch.einsum("eia,eja->eij", weighted, self._gradients)
-        shared = torch.einsum("eij,ab->eiajb", dots, identity).float().reshape(-1)
-        springs_of_all = np.asarray(np.kron(springs, np.eye(3)), dtype=np.float64)
-        self._held = torch.from_numpy(self._layers.store(springs_of_all)).float().to(device)
-        self._sheared = torch.zeros_like(self._held).index_add_(0, self._entry, shared)
+        gradients = shape_gradients(mesh)
+        dots = np.zeros((self.count, self.count))
+        each = (gradients * mesh.volumes[:, None, None]) @ gradients.transpose(0, 2, 1)
+        np.add.at(dots, (mesh.tets[:, :, None], mesh.tets[:, None, :]), each)
+        self._held, self._sheared = (
+            torch.from_numpy(self._layers.store(np.asarray(np.kron(nodal, np.eye(3)), np.float64)))
+            .float()
+            .to(device)
+            for nodal in (springs, dots)
+        )
 
     def with_more_loads(
         self, resting: RestingBody, loads: FloatArray
@@ -264,14 +267,14 @@ class HyperelasticBody:
     def _stiffness(self, elements: ElementResponse, lame: float, shear: float) -> Tensor:
         spatial = elements.spatial.float()
         weighted = spatial * self.volumes.float()[:, None, None]
-        products = torch.einsum("eia,ejb->eiajb", weighted, spatial)
-        entries = products.permute(0, 1, 4, 3, 2) * elements.coefficient.float()[:, None, None, None, None]
+        stiffness = torch.add(self._held, self._sheared, alpha=shear)
+        scaled = weighted * elements.coefficient.float()[:, None, None]
+        self._blocks.add(stiffness, scaled.view(-1, 3), spatial.view(-1, 3), crossed=True)
         own = elements.own
         if bool(own.any()):
-            entries[own] += lame * products[own]
+            alone = weighted * own[:, None, None]
+            self._blocks.add(stiffness, alone.view(-1, 3), spatial.view(-1, 3), lame)
             weighted[own] = 0.0
-        stiffness = torch.add(self._held, self._sheared, alpha=shear)
-        stiffness.index_add_(0, self._entry, entries.reshape(-1))
         self._averaged.add_stiffness(stiffness, weighted, lame)
         return stiffness
 

@@ -39,26 +39,33 @@ def leading_loads(
         Their numbers, in order.
     """
     root = torch.maximum(variances, least).sqrt().repeat_interleave(3)
-    covariance = root[:, None] * gram * root
-    first = torch.topk(variances, min(relevant, len(variances))).indices
-    chosen = first.tolist()
-    half = added = _pivots(covariance, covariance[:, :0], first)
-    left = covariance.diagonal().clone()
-    for _ in range(min(others, len(variances) - len(chosen))):
-        left -= added.square().sum(dim=1)
-        load = left.view(-1, 3).sum(dim=1).argmax()
-        chosen.append(int(load))
-        added = _pivots(covariance, half, load[None])
-        half = torch.cat([half, added], dim=1)
+    left = root.square() * gram.diagonal()
+    jitter = _LEAST_SHARE * float(left.max())
+    newest = torch.topk(variances, min(relevant, len(variances))).indices
+    chosen = newest.tolist()
+    count = min(others, len(variances) - len(chosen))
+    half = root.new_empty(3 * (len(chosen) + count), len(root))
+    filled = _fill_pivots(half, 0, newest, gram, root, jitter)
+    for _ in range(count):
+        left -= half[filled - 3 * len(newest) : filled].square().sum(dim=0)
+        newest = left.view(-1, 3).sum(dim=1).argmax(dim=0, keepdim=True)
+        chosen.append(int(newest))
+        filled = _fill_pivots(half, filled, newest, gram, root, jitter)
     return torch.tensor(sorted(set(chosen)), device=variances.device)
 
 
-def _pivots(covariance: Tensor, half: Tensor, loads: Tensor) -> Tensor:
-    """Return the columns, (3 p, 3 l), that some loads add to the factor (3 p, k) of the others."""
-    columns = (3 * loads[:, None] + torch.arange(3, device=loads.device)).reshape(-1)
-    left = covariance[:, columns] - half @ half[columns].T
-    block = left[columns]
-    block.diagonal().add_(_LEAST_SHARE * float(covariance.diagonal().max()))
+def _fill_pivots(half: Tensor, filled: int, loads: Tensor, gram: Tensor, root: Tensor, jitter: float) -> int:
+    """Add the rows of some loads to the factor (k, 3 p) of those before, its first `filled` ones; return how many."""
+    rows = (3 * loads[:, None] + torch.arange(3, device=loads.device)).reshape(-1)
+    # A few rows of the covariance are enough: the whole takes as long as all else.
+    left = gram.index_select(0, rows) * root
+    left *= root[rows, None]
+    if filled:
+        before = half[:filled]
+        left.addmm_(before.index_select(1, rows).T, before, alpha=-1.0)
+    block = left.index_select(1, rows)
+    block.diagonal().add_(jitter)
     factor = torch.linalg.cholesky(block)
-    added: Tensor = torch.linalg.solve_triangular(factor, left.T, upper=False).T
-    return added
+    end = filled + len(rows)
+    half[filled:end] = torch.linalg.solve_triangular(factor, left, upper=False)
+    return end

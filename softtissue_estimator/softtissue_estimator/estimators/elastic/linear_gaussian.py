@@ -81,10 +81,9 @@ def equal_variances(
     tangent: Tangent, nodes: Tensor, prior_sigma_m: float, pushing: slice | Tensor = _ALL
 ) -> Tensor:
     """Variance of every load, all the same, (p,), with which those that push move the nodes (s,) by `prior_sigma_m`."""
-    response = _response(tangent, nodes)
-    by_load = response.square().sum(dim=1).mean(dim=0).view(-1, 3).sum(dim=1)
-    power = by_load[pushing].sum().double() / 3.0
-    return (prior_sigma_m**2 / power).repeat(response.shape[2] // 3)
+    powers = tangent.powers(nodes)
+    power = powers[pushing].sum().double() / 3.0
+    return (prior_sigma_m**2 / power).repeat(len(powers))
 
 
 def condition(
@@ -102,8 +101,8 @@ def condition(
     """
     offset = tangent.offset.index_select(0, observed.nodes)
     shifted = observed.normal @ offset
-    # In double precision from here on: G is as large as the square of the signal over the noise.
-    response = _response(tangent, observed.nodes).double()
+    # The products are in double precision: G is as large as the square of the signal over the noise.
+    response = _response(tangent, observed.nodes)
     gram, right = _normal_equations(response, errors, observed.normal, observed.right - shifted)
     power = observed.power + float((offset * (shifted - 2.0 * observed.right)).sum())
     limits = LEAST_FIELD_SIGMA_M**2, errors.most_fields
@@ -118,7 +117,7 @@ def _normal_equations(
 
     Parameters
     ----------
-    response : (s, 3, 3 p)
+    response : (s, 3, 3 p) float32
         J of the loads.
     normal : (s, s)
     right : (s, 3)
@@ -128,9 +127,11 @@ def _normal_equations(
     count, _, width = direct.shape
     flat = direct.reshape(3 * count, width)
     weighted = normal @ direct.reshape(count, 3 * width)
-    outer = _symmetric(flat, weighted.reshape(3 * count, width))
+    begin = sum(errors.field_values) - (0 if errors.slide is None else errors.slide.shape[2])
+    gram = right.new_empty(begin + width, begin + width)
+    symmetric_product(flat, weighted.reshape(3 * count, width), gram[begin:, begin:])
     if not columns.shape[1]:
-        return outer, flat.T @ right.reshape(-1)
+        return gram, flat.T @ right.reshape(-1)
     # What a field moves along one axis tells nothing of another one.
     axes = torch.eye(3, dtype=columns.dtype, device=columns.device)
     alone = torch.kron(columns.T @ (normal @ columns), axes)
@@ -141,14 +142,14 @@ def _normal_equations(
         ray = torch.kron(torch.eye(columns.shape[1], dtype=columns.dtype, device=columns.device), errors.ray)
         whole = torch.cat([ray, torch.eye(len(alone), dtype=columns.dtype, device=columns.device)])
         alone, mixed, told = whole @ alone @ whole.T, whole @ mixed, whole @ told
-    gram = torch.cat([torch.cat([alone, mixed], dim=1), torch.cat([mixed.T, outer], dim=1)])
+    gram[:begin, :begin], gram[:begin, begin:], gram[begin:, :begin] = alone, mixed, mixed.T
     return gram, torch.cat([told, flat.T @ right.reshape(-1)])
 
 
-def _symmetric(left: Tensor, right: Tensor) -> Tensor:
+def symmetric_product(left: Tensor, right: Tensor, out: Tensor | None = None) -> Tensor:
     """Return left^T right, (w, w), which is known to be symmetric: half of it is mirrored."""
     width = left.shape[1]
-    found = left.new_empty(width, width)
+    found = left.new_empty(width, width) if out is None else out
     for begin in range(0, width, _BLOCK_COLUMNS):
         block = slice(begin, begin + _BLOCK_COLUMNS)
         part = left[:, begin:].T @ right[:, block]

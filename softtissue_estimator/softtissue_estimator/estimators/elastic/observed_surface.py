@@ -19,7 +19,11 @@ from torch import Tensor
 from softtissue_estimator.errors import OrganNotFoundError
 from softtissue_estimator.estimators.elastic.amplitudes import Amplitudes, Variances
 from softtissue_estimator.estimators.elastic.closest_points import MovedSurface
-from softtissue_estimator.estimators.elastic.linear_gaussian import LEAST_FIELD_SIGMA_M, mean_displacement
+from softtissue_estimator.estimators.elastic.linear_gaussian import (
+    LEAST_FIELD_SIGMA_M,
+    mean_displacement,
+    symmetric_product,
+)
 from softtissue_estimator.estimators.elastic.observed import Conditioned, Explained
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
 from softtissue_estimator.estimators.elastic.relevance import determine_relevance
@@ -138,7 +142,11 @@ class ObservedSurface:
         self.rows, self.precision = rows, rows.precision
         self._used = np.flatnonzero(rows.counted)
         self.equations = len(self._used)
-        self.nodes = torch.from_numpy(np.unique(rows.nodes[self._used])).to(mean.device)
+        between = np.zeros(len(moved), dtype=np.bool_)
+        between[rows.nodes[self._used]] = True
+        self.nodes = torch.from_numpy(np.flatnonzero(between)).to(mean.device)
+        self._registered: tuple[RegistrationError, FloatArray, FloatArray] | None = None
+        self._weighted: tuple[Tangent, Tensor, Tensor, Tensor] | None = None
 
     @property
     def reference(self) -> FloatArray:
@@ -182,11 +190,19 @@ class ObservedSurface:
 
     def _left(self, registration: RegistrationError, mean: Tensor, amplitudes: Amplitudes) -> FloatArray:
         """Return what is left of each row, as vectors along their directions, (c, 3) m."""
-        rows = self.rows
-        shared = self._whole.field @ amplitudes.field.cpu()
-        shared = shared + rows.errors(registration) @ amplitudes.nuisance.cpu()
-        left = (rows.told(registration) - rows.moved(mean) - shared.numpy()) * rows.counted
+        rows, told, errors = self.rows, *self._about(registration)
+        shared = (self._whole.field @ amplitudes.field.cpu()).numpy()
+        shared += errors @ amplitudes.nuisance.cpu().numpy()
+        left = (told - rows.moved(mean) - shared) * rows.counted
         return np.asarray(left[:, None] * rows.direction)
+
+    def _about(self, registration: RegistrationError) -> tuple[FloatArray, FloatArray]:
+        """Return `told` and `errors` of the rows; asked twice of each registration."""
+        known = self._registered
+        if known is None or known[0] is not registration:
+            known = registration, self.rows.told(registration), self.rows.errors(registration)
+            self._registered = known
+        return known[1:]
 
     def condition(
         self,
@@ -198,22 +214,50 @@ class ObservedSurface:
         most_fields: Tensor | None,
     ) -> Conditioned:
         """See `Observed.condition`."""
-        used, rows, field = self._used, self.rows, self._whole.field
-        parts = [field[used], rows.response(tangent, used), rows.errors(registration)[used]]
-        matrix = torch.cat(parts, dim=1)
-        y = torch.from_numpy((rows.told(registration) - rows.moved(tangent.offset))[used])
+        used, rows, fields = self._used, self.rows, self._whole.field.shape[1]
+        told, errors = self._about(registration)
         w = torch.from_numpy(precision[used])
-        weighted = matrix * w[:, None]
+        root = w.sqrt()
+        weighted, gram = self._system(tangent, root, torch.from_numpy(errors[used]))
+        y = torch.from_numpy((told - rows.moved(tangent.offset))[used])
         device = tangent.state.device
-        gram, right = (matrix.T @ weighted).to(device), (weighted.T @ y).to(device)
+        gram, right = gram.to(device), (weighted.T @ (root * y)).to(device)
         whole = variances.fields.new_full((1,), self._whole.sensor_bias_m**2)
         most = whole if most_fields is None else whole.minimum(most_fields)
         power, limits = float(w @ y.square()), (LEAST_FIELD_SIGMA_M**2, most)
-        amplitudes = determine_relevance(gram, right, variances, (field.shape[1],), updates, *limits, power)
+        amplitudes = determine_relevance(gram, right, variances, (fields,), updates, *limits, power)
         evidence = amplitudes.log_evidence(right, power) + 0.5 * float(w.log().sum())
         evidence += log_prior(amplitudes.prior.fields, whole)
         mean = mean_displacement(tangent, amplitudes)
         return Conditioned(amplitudes, mean, self._left(registration, mean, amplitudes), evidence)
+
+    def _system(self, tangent: Tangent, root: Tensor, errors: Tensor) -> tuple[Tensor, Tensor]:
+        """Return S^-1/2 J, (k, r), and J^T S^-1 J, (r, r), of the fields, the loads and the nuisance parameters.
+
+        Suppositions about the registration differ in the last columns alone.
+
+        Parameters
+        ----------
+        root : (k,) float64 1/m
+            Of the precision of each row that is used.
+        errors : (k, 6) float64 m
+            J of the nuisance parameters.
+        """
+        last, known = errors * root[:, None], self._weighted
+        if known is not None and known[0] is tangent and torch.equal(known[1], root):
+            weighted, gram = known[2].clone(), known[3].clone()
+            weighted[:, -last.shape[1] :] = last
+            among = weighted.T @ last
+            gram[:, -last.shape[1] :] = among
+            gram[-last.shape[1] :] = among.T
+            return weighted, gram
+        field = self._whole.field[self._used] * root[:, None]
+        loads = torch.from_numpy(self.rows.response(tangent, self._used, root.numpy()))
+        weighted = torch.empty(len(root), field.shape[1] + loads.shape[1] + last.shape[1], dtype=root.dtype)
+        torch.cat([field, loads, last], dim=1, out=weighted)
+        gram = symmetric_product(weighted, weighted)
+        self._weighted = tangent, root, weighted, gram
+        return weighted, gram
 
 
 def _too_few(count: int, where: str) -> OrganNotFoundError:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -75,7 +76,7 @@ class Posterior:
         """Return the same with some of the loads alone, (l,) their numbers."""
         columns = (3 * kept[:, None] + torch.arange(3, device=kept.device)).reshape(-1)
         whole = self.tangent
-        tangent = replace(whole, response=whole.response[:, columns].contiguous())
+        tangent = replace(whole, response=whole.response.index_select(1, columns))
         return replace(self, tangent=tangent, amplitudes=self.amplitudes.with_loads(kept))
 
     @property
@@ -83,7 +84,7 @@ class Posterior:
         """Root mean square of what is observed over the standard deviation with the variances that it began with."""
         return math.sqrt(max(self.amplitudes.surprise, 0.0) / self.observed.equations)
 
-    @property
+    @cached_property
     def registration_after(self) -> RegistrationError:
         """What is known of the registration afterwards."""
         return self.registration.conditioned(self.amplitudes.nuisance.cpu().numpy(), self.nuisance_covariance)
@@ -94,14 +95,14 @@ class Posterior:
             return None
         return self.registration.columns(nodes + self.mean)
 
-    @property
+    @cached_property
     def nuisance_covariance(self) -> FloatArray:
         """Of the nuisance parameters, (k, k)."""
         begin = len(self.amplitudes.mean) - len(self.amplitudes.nuisance)
         inverse = np.linalg.inv(self.amplitudes.factor[begin:, begin:].cpu().numpy())
         return np.asarray(inverse.T @ inverse)
 
-    @property
+    @cached_property
     def registration_step(self) -> FloatArray:
         """Mean of the registration's error beside the correction that was supposed, (6,) m and rad."""
         scaled = self.amplitudes.nuisance.cpu().numpy()

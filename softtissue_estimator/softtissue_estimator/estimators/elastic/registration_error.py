@@ -56,6 +56,12 @@ class RegistrationError:
         """Displacement (n, 3, 6) m of positions (n, 3) m by one standard deviation of each independent error."""
         return jacobian(positions, self.centre) @ torch.from_numpy(self.root).to(positions.device)
 
+    def along(self, positions: FloatArray, directions: FloatArray) -> FloatArray:
+        """Part of `columns` of positions (n, 3) m along a direction (n, 3) each, (n, 6) m."""
+        # d . (e x lever) = e . (lever x d) for every axis e.
+        turned = np.cross(positions - self.centre, directions)
+        return np.asarray(np.concatenate([directions, turned], axis=1) @ self.root)
+
     def deviation(self, positions: FloatArray) -> FloatArray:
         """Root mean square of its displacement of positions (n, 3) m, of each component, (n,) m."""
         columns = self.columns(torch.from_numpy(positions)).numpy()

@@ -9,7 +9,6 @@ rows that are the factor of what is left when the fields are integrated out.
 """
 
 import math
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -66,22 +65,18 @@ def determine_relevance(
     power : float
         y^T S^-1 y, where the surprise is asked for.
     """
-    kept, surprise = _loads_from(_HELD_SHARE, variances), math.nan
-    told = gram, right, field_values
+    kept, surprise, integrated = _loads_from(_HELD_SHARE, variances), math.nan, False
     for update in range(updates):
         fields_before = variances.fields
-        variances, explained = _reestimated(*told, variances, kept)
+        told = _told_of(gram, right, field_values, variances, kept)
+        found, explained = _reestimated(*(_with_fields_integrated(*told) if integrated else told))
         surprise = surprise if update else power - explained
-        fields = variances.fields.clamp_min(least_field)
+        fields = found.fields.clamp_min(least_field)
         fields = fields if most_fields is None else fields.minimum(most_fields)
-        variances = replace(variances, fields=fields)
-        if (
-            any(told[-1])
-            and update + 1 < updates
-            and bool((fields_before.maximum(fields) <= least_field).all())
-        ):
+        variances = Variances(variances.loads.index_copy(0, kept, found.loads), fields)
+        if bool((fields_before.maximum(fields) <= least_field).all()):
             # Of a stream that errs in nothing: most of the time would go into fields that stay what they are.
-            told = _integrated(gram, right, variances, field_values)
+            integrated = any(field_values)
         # An irrelevant load moves nothing, and takes as long as another one.
         kept = _loads_from(PRUNED_SHARE, variances)
     factor, mean = posterior_factor(gram, right, variances, field_values)
@@ -93,41 +88,47 @@ def _loads_from(least_share: float, variances: Variances) -> Tensor:
     return torch.nonzero(variances.loads >= least_share * variances.loads.max())[:, 0]
 
 
-def _integrated(
-    gram: Tensor, right: Tensor, variances: Variances, field_values: FieldValues
-) -> tuple[Tensor, Tensor, FieldValues]:
+def _told_of(
+    gram: Tensor, right: Tensor, field_values: FieldValues, variances: Variances, kept: Tensor
+) -> tuple[Tensor, Tensor, FieldValues, Variances]:
+    """Return the same of the loads that are kept alone, (l,) their numbers."""
+    if len(kept) == len(variances.loads):
+        return gram, right, field_values, variances
+    used = parameters_of(kept, sum(field_values), len(variances.loads), len(right))
+    return gram.index_select(0, used).index_select(1, used), right[used], field_values, variances.part(kept)
+
+
+def _with_fields_integrated(
+    gram: Tensor, right: Tensor, field_values: FieldValues, variances: Variances
+) -> tuple[Tensor, Tensor, FieldValues, Variances]:
     """Return what is told of the loads and the nuisance parameters, with the fields of errors integrated out."""
     begin = sum(field_values)
     root = variances.roots(field_values, len(right))[:begin, None]
     precision = root * gram[:begin, :begin] * root.T
     precision.diagonal().add_(1.0)
     columns = root * torch.cat([gram[:begin, begin:], right[:begin, None]], dim=1)
-    half = torch.linalg.solve_triangular(torch.linalg.cholesky(precision), columns, upper=False)
+    half = torch.linalg.solve_triangular(torch.linalg.cholesky(precision), columns, upper=False, out=columns)
     others, told = half[:, :-1], half[:, -1]
-    return gram[begin:, begin:] - others.T @ others, right[begin:] - others.T @ told, ()
+    none = (0,) * len(field_values)
+    return gram[begin:, begin:] - others.T @ others, right[begin:] - others.T @ told, none, variances
 
 
 def _reestimated(
-    gram: Tensor, right: Tensor, field_values: FieldValues, variances: Variances, kept: Tensor
+    gram: Tensor, right: Tensor, field_values: FieldValues, variances: Variances
 ) -> tuple[Variances, float]:
-    """Re-estimate the variances of the loads that are kept and of the field; also (J^T S^-1 y) . a as they were."""
-    if len(kept) < len(variances.loads):
-        used = parameters_of(kept, sum(field_values), len(variances.loads), len(right))
-        gram, right = gram[used[:, None], used], right[used]
-    part = Variances(variances.loads[kept], variances.fields[: len(field_values)])
-    factor, mean = posterior_factor(gram, right, part, field_values)
+    """Re-estimate the variances of the loads and of the fields; also (J^T S^-1 y) . a as they were."""
+    factor, mean = posterior_factor(gram, right, variances, field_values)
     # Posterior over prior variance.
-    remaining = invert_lower(factor).square().sum(dim=0)
-    ours = slice(sum(field_values), sum(field_values) + 3 * len(kept))
+    remaining = invert_lower(factor).square_().sum(dim=0)
+    before = variances.loads
+    ours = slice(sum(field_values), sum(field_values) + 3 * len(before))
     determined = (1.0 - remaining[ours].view(-1, 3).mean(dim=1)).clamp_min(_LEAST_DETERMINED_SHARE)
     fixed_point = mean[ours].square().view(-1, 3).mean(dim=1) / determined
-    fixed_point = fixed_point.clamp_min(_LEAST_VARIANCE_SHARE * float(part.loads.max()))
-    loads = variances.loads.clone()
-    loads[kept] = (part.loads * fixed_point).sqrt()
+    fixed_point = fixed_point.clamp_min(_LEAST_VARIANCE_SHARE * float(before.max()))
     fields = variances.fields.clone()
     for number, values in enumerate(slices(field_values)):
         if not field_values[number]:
             continue
         share = (1.0 - remaining[values].mean()).clamp_min(_LEAST_DETERMINED_SHARE)
         fields[number] = (fields[number] * mean[values].square().mean() / share).sqrt()
-    return Variances(loads, fields), float(right @ mean)
+    return Variances((before * fixed_point).sqrt(), fields), float(right @ mean)

@@ -9,9 +9,10 @@ Matches with the nearest surface say something along its normal; a point that is
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
-import torch
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from torch import Tensor
 
@@ -69,25 +70,34 @@ class SurfaceRows:
         offset = registration.corrected(self.seen) - self.reference
         return np.asarray(np.einsum("cd,cd->c", self.direction, offset))
 
-    def errors(self, registration: RegistrationError) -> Tensor:
-        """Return d . J times the root of the registration's error, (c, 6) float64."""
-        columns = registration.columns(torch.from_numpy(self.position))
-        return torch.einsum("cd,cdk->ck", torch.from_numpy(self.direction), columns)
+    def errors(self, registration: RegistrationError) -> FloatArray:
+        """Return d . J times the root of the registration's error, (c, 6)."""
+        return registration.along(self.position, self.direction)
+
+    @cached_property
+    def _entries(self) -> FloatArray:
+        """Part of each component of the four nodes in d . u(x), (c, 12)."""
+        return np.asarray(self.weights[:, :, None] * self.direction[:, None, :]).reshape(-1, 12)
+
+    @cached_property
+    def _columns(self) -> NDArray[np.int32]:
+        """Which of all components these are, (c, 12)."""
+        columns = 3 * self.nodes[:, :, None] + np.arange(3)
+        return np.asarray(columns.reshape(-1, 12), dtype=np.int32)
 
     def moved(self, nodal: Tensor) -> FloatArray:
         """Return d . u(x), (c,) m, for nodal displacement (n, 3) m."""
-        at_nodes = nodal.cpu().numpy()[self.nodes]
-        return np.asarray(np.einsum("ck,ckd,cd->c", self.weights, at_nodes, self.direction))
+        at_nodes = nodal.cpu().numpy().reshape(-1).take(self._columns)
+        return np.asarray(np.einsum("ck,ck->c", self._entries, at_nodes))
 
-    def response(self, tangent: Tangent, used: IntArray) -> Tensor:
-        """Return d . C of the equations `used`, (k, 3 p) float64."""
+    def response(self, tangent: Tangent, used: IntArray, scale: FloatArray) -> NDArray[np.float32]:
+        """Return d . C of the equations `used`, (k, 3 p), each times its own scale, (k,)."""
         # Each is about one tetrahedron: a row has an entry for each component of four nodes.
-        nodes, weights, direction = self.nodes[used], self.weights[used], self.direction[used]
-        entries = (weights[:, :, None] * direction[:, None, :]).reshape(-1).astype(np.float32)
-        columns = (3 * nodes[:, :, None] + np.arange(3)).reshape(-1)
-        begins = np.arange(0, 12 * len(nodes) + 1, 12)
-        rows = csr_array((entries, columns, begins), shape=(len(nodes), len(tangent.response)))
-        return torch.from_numpy(rows @ tangent.response.cpu().numpy()).double()
+        entries = (self._entries[used] * scale[:, None]).astype(np.float32).reshape(-1)
+        begins = np.arange(0, 12 * len(used) + 1, 12, dtype=np.int32)
+        shape = len(used), len(tangent.response)
+        rows = csr_array((entries, self._columns[used].reshape(-1), begins), shape=shape)
+        return np.asarray(rows @ tangent.response.cpu().numpy())
 
 
 def normal_rows(

@@ -1,6 +1,6 @@
 """An organ made linear about a deformation, and the stiffness that it has there."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from torch import Tensor
 
@@ -49,3 +49,17 @@ class Tangent:
     offset: Tensor
     response: Tensor
     stiffness: Stiffness
+    _powers: list[tuple[Tensor, Tensor]] = field(default_factory=list, init=False)
+
+    def powers(self, nodes: Tensor) -> Tensor:
+        """Return the mean square of what each load moves nodes (s,) by, of its three components together, (p,) m^2.
+
+        Asked of the same nodes several times a step, and computed once.
+        """
+        for asked, known in self._powers:
+            if asked is nodes:
+                return known
+        response = self.response.view(len(self.state), 3, -1).index_select(0, nodes).flatten(0, 1)
+        found = response.square_().sum(dim=0).view(-1, 3).sum(dim=1) / len(nodes)
+        self._powers[:] = [(nodes, found)]
+        return found

@@ -121,6 +121,32 @@ def test_posterior_is_that_of_a_dense_gaussian_process_along_the_normals(model):
     assert np.abs(mean_displacement(tangent, found.amplitudes).numpy()).max() > 0.001
 
 
+@pytest.mark.parametrize("moved", [0.0, 0.002])
+def test_what_another_registration_explains_does_not_depend_on_what_was_asked_before(model, moved):
+    rest = torch.zeros_like(model.nodes)
+    whole = observation(model, seen(0.5, np.random.default_rng(2)))
+    first = told_error(model.organ.centre, np.diag([0.001**2] * 3 + [0.01**2] * 3))
+    other = first.scaled(3.0).moved_by(np.array([moved, 0.0, 0.0, 0.0, moved, 0.0]))
+    tangent = model.resting.linearise_moved(torch.eye(3, dtype=torch.float64), rest, rest)
+    asked, new = (whole.about(rest, first, 0.01) for _ in range(2))
+    precision = 1.0 / (1.0 / asked.precision + 0.001**2)
+    loads = equal_variances(tangent, asked.nodes, CONFIG.prior_sigma_m)
+    variances = Variances(loads, loads.new_tensor([0.0005**2]))
+    before = asked.condition(tangent, first, precision, variances, 2, None)
+    again = asked.condition(tangent, other, precision, variances, 2, None)
+    expected = new.condition(tangent, other, precision, variances, 2, None)
+    np.testing.assert_allclose(again.mean.numpy(), expected.mean.numpy(), atol=1e-9)
+    np.testing.assert_allclose(again.residual, expected.residual, atol=1e-9)
+    assert again.log_evidence == pytest.approx(expected.log_evidence, abs=1e-6)
+    assert float((again.mean - before.mean).abs().max()) > 1e-6
+    # Nor do other weights.
+    weights = precision * np.linspace(0.5, 1.0, len(precision))
+    other_weights = [
+        each.condition(tangent, first, weights, variances, 2, None).mean for each in (asked, new)
+    ]
+    np.testing.assert_allclose(*other_weights, atol=1e-9)
+
+
 def test_a_stream_of_bare_clouds_is_followed_from_rest():
     estimator = ElasticEstimator(dataclasses.replace(CONFIG, tracking=True, tracking_patience_s=60.0))
     estimator.load_organ(ORGAN)
