@@ -111,9 +111,10 @@ class HyperelasticBody:
     ) -> None:
         self.count = len(mesh.nodes)
         self._nodes = torch.from_numpy(mesh.nodes).to(device)
-        self._tets = torch.from_numpy(mesh.tets).to(device)
+        self._corners = torch.from_numpy(mesh.tets.reshape(-1)).to(device)  # (4 m,)
         self._gradients = torch.from_numpy(shape_gradients(mesh)).to(device)  # (m, 4, 3)
         self.volumes = torch.from_numpy(mesh.volumes).to(device)
+        self._weighted = self._gradients * self.volumes[:, None, None]
         self._springs = torch.from_numpy(np.ascontiguousarray(springs)).to(device)
         self._loads = _by_component(loads, device)
         self._layers = _layers(mesh, springs)
@@ -155,7 +156,8 @@ class HyperelasticBody:
 
     def deformation_gradient(self, displacement: Tensor) -> Tensor:
         """F of every tetrahedron, (m, 3, 3), for nodal displacement (n, 3) m."""
-        return torch.einsum("eia,eib->eab", (self._nodes + displacement)[self._tets], self._gradients)
+        corners = (self._nodes + displacement).index_select(0, self._corners).view(-1, 4, 3)
+        return corners.transpose(1, 2) @ self._gradients
 
     def at_rest(self, poisson_ratio: float) -> RestingBody:
         """Make the body linear about rest.
@@ -200,7 +202,7 @@ class HyperelasticBody:
         law = lame_constants(poisson_ratio)
         gradient = self.deformation_gradient(state)
         elements = self._elements.response(gradient, *law)
-        force = self._force(elements, state, rest)
+        force = self._force(elements.stress, state, rest)
         factor = self._factor(elements, *law)
         if factor is None:
             # Compressed or overstretched so far that it would buckle; the corotated stiffness is always positive.
@@ -233,8 +235,8 @@ class HyperelasticBody:
             For another Poisson's ratio.
         """
         state = self.guarded(tangent.state, state)
-        elements = self._elements.response(self.deformation_gradient(state), *lame_constants(poisson_ratio))
-        offset = state - tangent.stiffness.displacement(self._force(elements, state, rest))
+        stress = self._elements.stress(self.deformation_gradient(state), *lame_constants(poisson_ratio))
+        offset = state - tangent.stiffness.displacement(self._force(stress, state, rest))
         # With the stiffness of a state far away such steps may lead further and further away.
         change = offset - tangent.offset
         most = _LARGEST_CHANGE_SHARE * float((state - tangent.state).abs().max())
@@ -243,23 +245,25 @@ class HyperelasticBody:
 
     def guarded(self, start: Tensor, end: Tensor) -> Tensor:
         """Go from one displacement (n, 3) m towards another, as far as no sound element collapses on the way."""
+        least = 0.5 * COLLAPSED_VOLUME_RATIO
+        if not bool((determinant(self.deformation_gradient(end)) < least).any()):
+            return end
         before = determinant(self.deformation_gradient(start))
         sound = before > COLLAPSED_VOLUME_RATIO
         share = 1.0
         while share > _SMALLEST_STEP_SHARE:
             state = start + share * (end - start)
             after = determinant(self.deformation_gradient(state))
-            if not bool((sound & (after < 0.5 * COLLAPSED_VOLUME_RATIO)).any()):
+            if not bool((sound & (after < least)).any()):
                 return state
             share *= _SHORTER_STEP
         return start + share * (end - start)
 
-    def _force(self, elements: ElementResponse, state: Tensor, rest: Tensor) -> Tensor:
+    def _force(self, stress: Tensor, state: Tensor, rest: Tensor) -> Tensor:
         """Nodal forces by which elements and springs resist a displacement, (n, 3)."""
-        stress = elements.stress * self.volumes[:, None, None]
-        corner = torch.einsum("eab,eib->eia", stress, self._gradients)
+        corner = self._weighted @ stress.transpose(1, 2)
         force = self._springs @ (state - rest)
-        return force.index_add_(0, self._tets.reshape(-1), corner.reshape(-1, 3))
+        return force.index_add_(0, self._corners, corner.reshape(-1, 3))
 
     def _factor(self, elements: ElementResponse, lame: float, shear: float) -> LayeredFactor | None:
         return factorise(self._layers, self._stiffness(elements, lame, shear))

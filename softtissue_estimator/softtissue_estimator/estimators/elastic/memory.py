@@ -17,6 +17,7 @@ from softtissue_estimator.estimators.elastic.doubts import (
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
 from softtissue_estimator.estimators.elastic.registration_filter import RegistrationFilter
 from softtissue_estimator.estimators.elastic.solver import Solver
+from softtissue_estimator.estimators.elastic.tangent import Tangent
 
 _NEW_SHARE = 0.1  # of a frame, in how much is expected to be seen
 _CANDIDATE_STEPS = 8  # of the thread, after which what was not the organ until then is not followed any more
@@ -42,6 +43,8 @@ class Memory:
         That the thread was given since it was about a rigid motion.
     mean : (n, 3) float64 m or None
         Displacement of the nodes in the newest answer.
+    tangent : Tangent or None
+        About which that answer was linear, by the loads of `state`; None where `state` is newer.
     patches : float
         Of the surface that were on the organ in the answers before.
     attachment_moves : bool
@@ -55,6 +58,7 @@ class Memory:
     stepped_s: float = 0.0
     steps: int = 0
     mean: torch.Tensor | None = None
+    tangent: Tangent | None = None
     patches: float = 0.0
     attachment_moves: bool = False
 
@@ -88,12 +92,13 @@ class Known:
         """Return what was known where the organ is lost now."""
         return Lost(self.memory, self.registration)
 
-    def after(self, posterior: Posterior, still: bool) -> Known:
-        """Return what is known after an answer, in which the organ moved or stood still."""
+    def after(self, posterior: Posterior, still: bool, tangent: Tangent | None) -> Known:
+        """Return what is known after an answer, in which the organ moved or stood still; `tangent` as in `Memory`."""
         patches = patches_of(posterior)
         memory = replace(
             self.memory,
             mean=posterior.mean,
+            tangent=tangent,
             # The view may narrow as fast as this.
             patches=max(patches, (1.0 - _NEW_SHARE) * self.memory.patches + _NEW_SHARE * patches),
             settled=self.memory.settled if still else 0,
@@ -107,7 +112,8 @@ def followed(solver: Solver, memory: Memory) -> Posterior | None:
     if start is None:
         return None
     try:
-        posterior = solver.follow(start, start.tangent.state if memory.mean is None else memory.mean)
+        tangent = start.tangent if memory.tangent is None else memory.tangent
+        posterior = solver.follow(start, tangent, tangent.state if memory.mean is None else memory.mean)
     except InvalidInputError:
         return None
     if posterior is None or solver.identified:

@@ -16,6 +16,7 @@ from softtissue_estimator.estimators.elastic.elasticity import nodal_volumes
 from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody, RestingBody, to_tensor
 from softtissue_estimator.estimators.elastic.loads import attachment_basis, load_basis
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError, expected_error
+from softtissue_estimator.estimators.elastic.tangent import Tangent
 from softtissue_estimator.estimators.elastic.tissue import RatioPrior, ratio_prior
 from softtissue_estimator.estimators.estimator import Progress
 from softtissue_estimator.organ.mesh import FloatArray, IntArray, vertex_areas
@@ -31,6 +32,8 @@ _GROUND_SHARE_HELD, _GROUND_SHARE_FREE = 1e-5, 0.3
 
 _ATTACHMENT_SHARE = 0.3
 """How far what holds the organ moves by a unit load over how far all unit loads that push move the organ."""
+
+_LINEAR_M = 0.001  # that no node has moved by: so far an organ is linear
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +85,15 @@ class ElasticModel:
     def held(self) -> bool:
         """Whether something holds the organ."""
         return 3 * self.pushing < self.resting.response.shape[1]
+
+    def following(self, tangent: Tangent, state: Tensor, rest: Tensor, ratio: int) -> Tangent:
+        """Return the body linear about a state (n, 3) m near that of `tangent`; about the same where it is very near.
+
+        `ratio` is the number of Poisson's ratio. See `HyperelasticBody.linearise_on`.
+        """
+        if float((state - tangent.state).abs().max()) <= _LINEAR_M:
+            return tangent
+        return self.body.linearise_on(tangent, state, rest, self.ratios.ratios[ratio])
 
     def surface_interpolation(self, points: FloatArray) -> csr_array:
         """Interpolate from the nodes to points (k, 3) m near the surface, (k, n); one table access a point."""

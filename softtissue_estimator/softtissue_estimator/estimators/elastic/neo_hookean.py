@@ -65,16 +65,25 @@ class NeoHookeanElements:
         """
         collapsed = determinant(gradient) < COLLAPSED_VOLUME_RATIO
         sound = torch.where(collapsed[:, None, None], self._identity, gradient)
-        inverse = torch.linalg.inv(sound)
-        coefficient = shear - self._averaged.pressure(torch.log(determinant(sound)), lame)
-        stress = shear * sound - coefficient[:, None, None] * inverse.transpose(1, 2)
-        elements = ElementResponse(stress, self._gradients @ inverse, coefficient, collapsed)
+        cofactor, volume = _cofactor(sound)
+        coefficient = shear - self._averaged.pressure(torch.log(volume), lame)
+        inverse = cofactor / volume[:, None, None]  # transposed
+        stress = shear * sound - coefficient[:, None, None] * inverse
+        elements = ElementResponse(stress, self._gradients @ inverse.transpose(1, 2), coefficient, collapsed)
         if bool(collapsed.any()):
             other = self._corotated(gradient[collapsed], self._gradients[collapsed], lame, shear)
             elements.stress[collapsed] = other.stress
             elements.spatial[collapsed] = other.spatial
             elements.coefficient[collapsed] = other.coefficient
         return elements
+
+    def stress(self, gradient: Tensor, lame: float, shear: float) -> Tensor:
+        """Return the stress (m, 3, 3) of `response` alone, in half the time; parameters as of that."""
+        cofactor, volume = _cofactor(gradient)
+        if bool((volume < COLLAPSED_VOLUME_RATIO).any()):
+            return self.response(gradient, lame, shear).stress
+        coefficient = shear - self._averaged.pressure(torch.log(volume), lame)
+        return torch.addcmul(shear * gradient, (coefficient / volume)[:, None, None], cofactor, value=-1.0)
 
     def corotated(self, gradient: Tensor, lame: float, shear: float) -> ElementResponse:
         """Stress and stiffness where all elements follow the corotated law; parameters as of `response`."""
@@ -102,3 +111,11 @@ def determinant(matrices: Tensor) -> Tensor:
     first, second, third = matrices.unbind(1)
     found: Tensor = (first * torch.linalg.cross(second, third)).sum(dim=1)
     return found
+
+
+def _cofactor(matrices: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the cofactors (m, 3, 3) of matrices and their determinants (m,): over these, the inverses transposed."""
+    first, second, third = matrices.unbind(1)
+    across = torch.linalg.cross(second, third)
+    found = torch.stack([across, torch.linalg.cross(third, first), torch.linalg.cross(first, second)], dim=1)
+    return found, (first * across).sum(dim=1)

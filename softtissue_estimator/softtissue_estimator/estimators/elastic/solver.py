@@ -132,15 +132,15 @@ class Solver:
         weight = self._weights(posterior)
         return self._explain(observed, tangent, registration, variances, sigma, weight, updates, ratio)
 
-    def follow(self, start: WarmStart, predicted: Tensor) -> Posterior | None:
-        """Explain the observation about the state of an earlier one, in a few milliseconds.
+    def follow(self, start: WarmStart, tangent: Tangent, predicted: Tensor) -> Posterior | None:
+        """Explain the observation about an earlier state, in a few milliseconds.
 
-        None where the organ has moved too far since for that. `predicted` is what the nodes are expected at, (n, 3) m.
+        None where the organ has moved too far since for that. `tangent` is about that state, with the loads of `start`;
+        `predicted` is what the nodes are expected at, (n, 3) m.
         """
         observed = self._observation.about(predicted, self.registration, REACH_M)
         weight, sigma = np.ones(len(observed.precision)), start.model_sigma_m
-        ratio = self._model.ratios.ratios[start.ratio]
-        tangent = self._model.body.linearise_on(start.tangent, predicted, self._rest, ratio)
+        tangent = self._model.following(tangent, predicted, self._rest, start.ratio)
         least = LEAST_START_SHARE * self.prior.variances(tangent, observed.nodes, start.loads)
         earlier = start.variances.going_on(self._first_fields)
         for turn in range(self._observation.turns):

@@ -136,6 +136,7 @@ class ElasticTracker:
             memory = replace(
                 memory,
                 state=state,
+                tangent=None,
                 rigid=False,
                 ratio=better.ratio,
                 settled=settled,
@@ -160,7 +161,7 @@ class ElasticTracker:
         earlier, reason = known.memory.state, ""
         if posterior is None or earlier is None:
             posterior, known, reason = self._anew(solver, known)
-            variances, still = posterior.amplitudes.prior, False
+            variances, still, tangent = posterior.amplitudes.prior, False, None
         else:
             if known.lost is not None:
                 reason = reason_for_disbelief(solver, posterior, known.lost)
@@ -170,10 +171,11 @@ class ElasticTracker:
             variances = replace(variances, loads=solver.prior.held(variances.loads))
             moved_m = _distance(posterior.mean, earlier.tangent.state)
             still = not known.memory.rigid and moved_m < _STILL_DISTANCE_M
+            tangent = posterior.tangent
         if known.registration is not None and not reason:
             known.registration.follow(posterior)
         if not reason or known.lost is not None:
-            known = known.after(posterior, still)
+            known = known.after(posterior, still, tangent)
             lost_now = bool(reason) and (before.lost is None or before.lost.believed)
             self._keep(before, known, solver, posterior, variances, still, returned or lost_now)
         if reason:
@@ -192,7 +194,7 @@ class ElasticTracker:
             registration = copy.copy(registration) if reason else registration
         elif not reason:
             lost = None
-        memory = replace(known.memory, state=state, rigid=True, patches=0.0)
+        memory = replace(known.memory, state=state, tangent=None, rigid=True, patches=0.0)
         return posterior, Known(memory, registration, lost), reason
 
     def _keep(

@@ -194,7 +194,8 @@ def test_a_rival_counts_by_its_odds_and_by_how_far_it_is():
 def test_a_frame_goes_on_with_the_rivals_of_the_one_before(model):
     solver, posterior = explained(model, NONE)
     doubted = replace(posterior, rival_variance=torch.full((len(model.mesh.nodes),), 4e-6), contested=True)
-    followed = solver.follow(solver.warm_start(doubted), posterior.mean)
+    start = solver.warm_start(doubted)
+    followed = solver.follow(start, start.tangent, posterior.mean)
     np.testing.assert_array_equal(followed.rival_variance, doubted.rival_variance)
     assert solver.deviation(followed).min() > 0.002
     assert solver.improve(doubted, guarded=True).rival_variance is doubted.rival_variance
@@ -233,7 +234,7 @@ def test_a_frame_leaves_fields_of_errors_out_only_where_none_of_them_is_told(mod
 
     def followed(fields):
         known = replace(start, variances=replace(start.variances, fields=fields))
-        return solver.follow(known, posterior.mean)
+        return solver.follow(known, known.tangent, posterior.mean)
 
     without, barely = followed(none), followed(1.01 * none)
     assert sum(without.amplitudes.field_values) == 0 < sum(barely.amplitudes.field_values)
