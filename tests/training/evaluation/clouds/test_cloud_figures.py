@@ -61,4 +61,13 @@ def test_conditions_are_counted_apart_and_pose_errors_over_all_of_them():
 def test_table_says_how_many_were_refused_and_who_says_no_sigma():
     views = [asked(), asked(failure="no")]
     text = estimators_table({"estimators": {"zero": estimator_figures(views)}})
-    assert "| zero | `exact` | 0.0 | 2 | 4.0 / 4.0 / 4.0 | 4.0 / 4.0 / 4.0 | - | 50.0% |" in text
+    row = "| zero | `exact` | 0.0 | 2 | 4.0 / 4.0 / 4.0 | 4.0 | 0.0% | 4.0 / 4.0 / 4.0 | - | 50.0% |"
+    assert row in text
+
+
+def test_views_count_alike_in_their_median_and_in_the_share_of_those_that_are_far_off():
+    views = [asked(error_m=error_m) for error_m in (0.001, 0.002, 0.009, 0.011, 0.030)]
+    row = estimator_figures([*views, asked(failure="no")])["conditions"]["exact"]
+    assert row["median_of_views_mm"] == pytest.approx(9.0) and row["views_far_off"] == pytest.approx(0.4)
+    nothing = estimator_figures([asked(failure="no")])["conditions"]["exact"]
+    assert nothing["median_of_views_mm"] is None and nothing["views_far_off"] is None

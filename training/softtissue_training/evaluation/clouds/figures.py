@@ -9,12 +9,14 @@ import numpy as np
 
 from softtissue_training.evaluation.clouds.evaluate import AskedView
 from softtissue_training.evaluation.clouds.told_poses import CONDITIONS
-from softtissue_training.evaluation.streams.measures import measure, over_exact
+from softtissue_training.evaluation.streams.measures import Shown, measure, over_exact
 
 VISIBLE_BINS = (0.15, 0.20, 0.25, 0.30, 0.35, 0.40)
 FOREIGN_BINS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 POSE_BINS_MM = (0.0, 1.0, 5.0, 10.0, 15.0, 40.0)
-"""Ends of bins; each with its lower end, the last one with its upper one too."""
+"""Ends of bins; each with its lower end, the last one with its upper one too. What is beyond them is in the nearest."""
+FAR_OFF_MM = 10.0
+"""Views whose mean error over the points is larger are counted."""
 
 
 def estimator_figures(asked: Sequence[AskedView]) -> dict[str, Any]:
@@ -24,9 +26,7 @@ def estimator_figures(asked: Sequence[AskedView]) -> dict[str, Any]:
     }
     return {
         "conditions": over_exact({name: _measured(chosen) for name, chosen in by_condition.items()}),
-        "in_organ": {
-            name: measure([one.in_organ for one in chosen]) for name, chosen in by_condition.items()
-        },
+        "in_organ": {name: _measured(chosen, "in_organ") for name, chosen in by_condition.items()},
         "by_visible_share": {
             name: in_bins(chosen, lambda one: one.visible_share, VISIBLE_BINS)
             for name, chosen in by_condition.items()
@@ -54,10 +54,16 @@ def in_bins(
     ]
 
 
-def _measured(asked: Sequence[AskedView]) -> dict[str, Any]:
-    return {"pose_error_mm": 1e3 * float(np.mean([one.pose_error_m for one in asked]))} | measure(
-        [one.in_camera for one in asked]
-    )
+def _measured(asked: Sequence[AskedView], frame: str = "in_camera") -> dict[str, Any]:
+    """Return the figures of views, and how their mean errors, of those that were answered, are spread."""
+    shown: list[Shown] = [getattr(one, frame) for one in asked]
+    means = np.concatenate([one.mean_errors() for one in shown])
+    means = 1e3 * means[np.isfinite(means)]
+    return {
+        "pose_error_mm": 1e3 * float(np.mean([one.pose_error_m for one in asked])),
+        "median_of_views_mm": float(np.median(means)) if len(means) else None,
+        "views_far_off": float((means > FAR_OFF_MM).mean()) if len(means) else None,
+    } | measure(shown)
 
 
 def _one(view: AskedView) -> dict[str, Any]:

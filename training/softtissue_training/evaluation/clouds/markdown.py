@@ -6,12 +6,15 @@ from collections.abc import Mapping
 from typing import Any
 
 from softtissue_training.evaluation.benchmark.markdown import table
+from softtissue_training.evaluation.clouds.figures import FAR_OFF_MM
 from softtissue_training.evaluation.clouds.registration import RIGHT_M
 from softtissue_training.evaluation.streams.markdown import every_frame, failures, spread
 
 _MOST_IMPORTANT = (
     "views",
     "mean / 95 % / max, mm",
+    "median of the views' means",
+    f"views over {FAR_OFF_MM:g} mm",
     "over 30 mm from anything seen",
     "rms z",
     "refused",
@@ -119,6 +122,8 @@ def _most_important(row: Mapping[str, Any]) -> list[str]:
     return [
         str(row["frames"]),
         spread(row["errors"]),
+        _number(row["median_of_views_mm"]),
+        _percent(row["views_far_off"]),
         spread(row["far_errors"]),
         _z(row),
         _percent(1.0 - row["answered"]),
