@@ -98,7 +98,7 @@ def shifting(organ, monkeypatch):
 
 def test_poses_that_are_told(view, organ):
     told = told_poses(view, CENTRE, 3, None)
-    assert tuple(told) == CONDITIONS[:3] and not told["exact"].covariance.any()
+    assert tuple(told) == CONDITIONS[:-1] and not told["exact"].covariance.any()
     assert np.allclose(told["exact"].motion.undo(view.points), view.camera.outer(view.points))
     for name, degrees, shift_m in (("registration_2", 2.0, 0.003), ("registration_5", 5.0, 0.010)):
         pose = told[name]
@@ -111,6 +111,15 @@ def test_poses_that_are_told(view, organ):
     assert told["exact"].error_m(view, organ.surface.vertices) == 0.0
     found = ToldPose(exact_pose(view), np.eye(6))
     assert told_poses(view, CENTRE, 3, found)["found"] is found
+
+
+def test_a_segmentation_leaves_the_organ_alone(view):
+    told = told_poses(view, CENTRE, 0, None)
+    assert len(told["segmented"].shown(view)) == (view.label == ORGAN).sum() == len(view.points) - 200
+    distance = CENTRE - CAMERA.outer(told["segmented"].shown(view))
+    assert np.linalg.norm(distance, axis=1).max() < 0.07
+    assert np.array_equal(told["exact"].shown(view), view.points)
+    assert np.allclose(told["segmented"].motion.rotation, told["exact"].motion.rotation)
 
 
 def test_cloud_is_shown_in_the_pose_that_is_told(view, shifting):

@@ -38,13 +38,14 @@ def test_bins_have_their_lower_end_and_the_last_one_its_upper_one_too():
 def test_conditions_are_counted_apart_and_pose_errors_over_all_of_them():
     views = [
         asked(sigma_m=0.002),
+        asked("segmented", sigma_m=0.002),
         asked("registration_5", pose_m=0.011, error_m=0.010, sigma_m=0.002),
         asked("registration_5", pose_m=0.012, failure="no", sigma_m=0.002),
         asked("found", pose_m=0.0115, error_m=0.002, sigma_m=0.002),
     ]
     found = estimator_figures(views)
     wrong = found["conditions"]["registration_5"]
-    assert list(found["conditions"]) == ["exact", "registration_5", "found"]
+    assert list(found["conditions"]) == ["exact", "segmented", "registration_5", "found"]
     assert wrong["answered"] == 0.5 and wrong["failures"] == {"no": 1}
     assert wrong["errors"]["mean_mm"] == pytest.approx(10.0) and wrong["over_exact"] == pytest.approx(2.5)
     assert wrong["far_errors"]["points"] == 1
@@ -55,7 +56,7 @@ def test_conditions_are_counted_apart_and_pose_errors_over_all_of_them():
     assert (first["from"], first["frames"], second["from"], second["frames"]) == (0.0, 1, 10.0, 3)
     assert second["errors"]["mean_mm"] == pytest.approx(6.0)
     assert second["pose_error_mm"] == pytest.approx(11.5)
-    assert [one["refused"] for one in found["each"]] == [None, None, "no", None]
+    assert [one["refused"] for one in found["each"]] == [None, None, None, "no", None]
 
 
 def test_table_says_how_many_were_refused_and_who_says_no_sigma():

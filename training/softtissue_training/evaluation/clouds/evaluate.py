@@ -40,7 +40,7 @@ class AskedView:
     ----------
     organ, view, condition
     visible_share, foreign_share
-        Of the organ's surface, and of the cloud's points.
+        Of the organ's surface, and of the points of the whole cloud.
     pose_error_m
         Mean distance by which the pose misplaces the organ's vertices.
     in_camera, in_organ
@@ -111,8 +111,8 @@ class CloudJob:
             try:
                 for view, condition in self.missing():
                     inner, truth, _ = self._inside(organ, view)
-                    seen = organ.views[view]
-                    frames = method.answer(seen.points, self._told(organ, view)[condition], inner)
+                    seen, told = organ.views[view], self._told(organ, view)[condition]
+                    frames = method.answer(told.shown(seen), told, inner)
                     true = (seen.camera.inner(inner + truth), truth)
                     for name, frame, expected in zip(
                         (_ORGAN, _CAMERA), frames[::-1], true[::-1], strict=True

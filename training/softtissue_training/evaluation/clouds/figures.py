@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from softtissue_training.evaluation.clouds.evaluate import AskedView
-from softtissue_training.evaluation.clouds.told_poses import CONDITIONS
+from softtissue_training.evaluation.clouds.told_poses import CONDITIONS, SEGMENTED
 from softtissue_training.evaluation.streams.measures import Shown, measure, over_exact
 
 VISIBLE_BINS = (0.15, 0.20, 0.25, 0.30, 0.35, 0.40)
@@ -35,7 +35,11 @@ def estimator_figures(asked: Sequence[AskedView]) -> dict[str, Any]:
             name: in_bins(chosen, lambda one: one.foreign_share, FOREIGN_BINS)
             for name, chosen in by_condition.items()
         },
-        "by_pose_error_mm": in_bins(asked, lambda one: 1e3 * one.pose_error_m, POSE_BINS_MM),
+        "by_pose_error_mm": in_bins(
+            [one for one in asked if one.condition != SEGMENTED],
+            lambda one: 1e3 * one.pose_error_m,
+            POSE_BINS_MM,
+        ),
         "each": [_one(view) for view in asked],
     }
 

@@ -1,4 +1,4 @@
-"""The poses of the organ that estimators are told with a cloud, and how exact they are said to be."""
+"""What estimators are told with a cloud: the pose of the organ and how exact it is, and what is not organ."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.observation.rigid import RigidMotion
+from softtissue_training.evaluation.clouds.cavity import ORGAN
 from softtissue_training.evaluation.clouds.views import CloudView
 from softtissue_training.evaluation.streams.wrong_pose import wrong_pose
 
 FloatArray = NDArray[np.float64]
 
-EXACT, FOUND = "exact", "found"
+EXACT, SEGMENTED, FOUND = "exact", "segmented", "found"
 _WRONG: Mapping[str, tuple[float, float]] = {"registration_2": (2.0, 0.003), "registration_5": (5.0, 0.010)}
 """Degrees and m."""
-CONDITIONS = (EXACT, *_WRONG, FOUND)
+CONDITIONS = (EXACT, SEGMENTED, *_WRONG, FOUND)
 """Names of what estimators are told, in the order of tables."""
 
 
@@ -31,10 +32,17 @@ class ToldPose:
         From the organ's frame to the camera's.
     covariance
         (6, 6) of its error, as of `BareCloud.registration_covariance`.
+    segmented
+        Whether the points that are not organ are left out of the cloud, as a segmentation would.
     """
 
     motion: RigidMotion
     covariance: FloatArray
+    segmented: bool = False
+
+    def shown(self, view: CloudView) -> FloatArray:
+        """Points (n, 3) m of a view that estimators are shown, camera's frame."""
+        return view.points[view.label == ORGAN] if self.segmented else view.points
 
     def error_m(self, view: CloudView, points: FloatArray) -> float:
         """Mean distance by which it misplaces points (n, 3) m of the organ's frame."""
@@ -63,7 +71,10 @@ def told_poses(
         By the search in this cloud; None where that is not to be told.
     """
     exact = exact_pose(view)
-    told = {EXACT: ToldPose(exact, np.zeros((6, 6)))}
+    told = {
+        EXACT: ToldPose(exact, np.zeros((6, 6))),
+        SEGMENTED: ToldPose(exact, np.zeros((6, 6)), segmented=True),
+    }
     for name, (degrees, shift_m) in _WRONG.items():
         off = wrong_pose(number, centre, degrees=degrees, shift_m=shift_m)
         rotation = exact.rotation @ off.rotation.T
