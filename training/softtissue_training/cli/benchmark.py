@@ -66,8 +66,9 @@ def add(commands: Commands) -> None:
         metavar="LIST",
         help="of random (organs, with all sweeps), own (the bundled liver), user (the surface named) and real (streams "
         "of organs that move, with the errors of an operating room; writes DIR/real.json and DIR/real.md) and bag (a "
-        "recording with markers, with such errors; writes DIR/bag.json and DIR/bag.md) and clouds (poses found in bare "
-        "clouds of simulated livers; writes DIR/clouds.json and DIR/clouds.md); default: random,own and, with "
+        "recording with markers, with such errors; writes DIR/bag.json and DIR/bag.md) and clouds (bare clouds of "
+        "simulated livers as a laparoscope sees them: poses found in them, and estimators that need no "
+        "correspondences; writes DIR/clouds.json and DIR/clouds.md); default: random,own and, with "
         "--organ-surface, user; with --quick without own",
     )
     benchmark.add_argument(
@@ -163,7 +164,7 @@ def _benchmark(options: argparse.Namespace) -> int:
     if plan.recording is not None:
         print(run_recording(plan.recording, methods, options.out, workers=options.workers, command=command))
     if plan.clouds is not None:
-        print(run_clouds(plan.clouds, options.out, workers=options.workers, command=command))
+        print(run_clouds(plan.clouds, methods, options.out, workers=options.workers, command=command))
     return 0
 
 

@@ -11,7 +11,8 @@ from softtissue_estimator.estimators import estimator as estimators
 from softtissue_estimator.estimators.diagnosis import Diagnosis
 from softtissue_estimator.estimators.estimator import Estimate, Estimator
 from softtissue_training.evaluation.methods import MethodSpec
-from softtissue_training.evaluation.streams.answers import NOT_SAID, StreamMethod
+from softtissue_training.evaluation.streams.answers import StreamMethod
+from softtissue_training.evaluation.streams.frames import NOT_SAID
 from softtissue_training.evaluation.streams.instances import Instance
 
 

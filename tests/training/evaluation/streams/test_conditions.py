@@ -12,10 +12,9 @@ from softtissue_training.evaluation.streams.conditions import (
     JUMP_S,
     OCCLUDED_S,
     OUTLIER_M,
-    POSES,
-    pose_axes,
 )
 from softtissue_training.evaluation.streams.instances import Instance, instances
+from softtissue_training.evaluation.streams.wrong_pose import POSES, pose_axes
 
 SEED = 5
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softtissue_training.evaluation.streams.answers import NOT_SAID, StreamAnswers
+from softtissue_training.evaluation.streams.frames import NOT_SAID, StreamAnswers
 from softtissue_training.evaluation.streams.measures import Shown, measure, over_exact, recovery
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from softtissue_estimator.organ.mesh import face_areas
+from softtissue_training.evaluation import inner_points
 from softtissue_training.evaluation.case import depth_below
-from softtissue_training.evaluation.streams import stream as streams
 from softtissue_training.evaluation.streams.smooth_field import smooth_field, with_rms
-from softtissue_training.evaluation.streams.stream import FAR_M, make_stream
+from softtissue_training.evaluation.streams.stream import make_stream
 from training.coarse import COARSE_STREAM
 
 SEED = (5, 0)
@@ -41,7 +41,9 @@ def test_half_of_what_is_asked_is_far_from_what_is_seen(coarse_streams):
         assert stream.depth == pytest.approx(depth)
         half = stream.settings.inner_points // 2
         assert len(stream.inner) == len(np.unique(stream.inner, axis=0)) == 2 * half
-        assert (stream.depth[:half] > FAR_M).all() or stream.depth[:half].min() >= stream.depth[half:].max()
+        assert (stream.depth[:half] > inner_points.FAR_M).all() or stream.depth[:half].min() >= stream.depth[
+            half:
+        ].max()
         # Truth is the simulation's, linear in each of its elements.
         tet = stream.volume.locate(stream.inner)
         weights = stream.volume.weights(stream.inner, tet)
@@ -58,11 +60,11 @@ def test_truth_is_the_motion(coarse_motions, coarse_streams):
 
 
 def test_an_organ_without_far_places_gives_its_farthest(coarse_motions, monkeypatch):
-    monkeypatch.setattr(streams, "FAR_M", 0.5)
+    monkeypatch.setattr(inner_points, "FAR_M", 0.5)
     stream = make_stream(coarse_motions[0], "organ", SEED, COARSE_STREAM)
     half = stream.settings.inner_points // 2
     assert stream.depth[:half].min() >= stream.depth[half:].max()
-    assert (stream.depth > streams.FAR_M).sum() == 0
+    assert (stream.depth > inner_points.FAR_M).sum() == 0
 
 
 def test_a_stream_is_its_seeds(coarse_motions, coarse_streams):

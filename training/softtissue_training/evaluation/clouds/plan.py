@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from softtissue_training.evaluation.clouds.views import ViewLimits
 from softtissue_training.simulation.recipe import Recipe
 
-ORGANS, VIEWS = 20, 10
+ORGANS, VIEWS, ASKED_VIEWS = 20, 10, 3
 QUICK_ORGANS, QUICK_VIEWS = 3, 3
 _RECIPE = Recipe(shapes="liver", forces=(1, 2), force_n=(0.2, 0.8), youngs_modulus_pa=(3000.0, 5000.0))
 
@@ -22,6 +22,8 @@ class CloudPlan:
         Of all organs and views.
     organs, views
         How many, and how many views of each.
+    asked
+        Estimators are shown the first so many views of each organ.
     recipe
         Of the simulations.
     mean_displacement_m
@@ -33,6 +35,7 @@ class CloudPlan:
     seed: int
     organs: int = ORGANS
     views: int = VIEWS
+    asked: int = ASKED_VIEWS
     recipe: Recipe = _RECIPE
     mean_displacement_m: tuple[float, float] = (0.005, 0.015)
     limits: ViewLimits = field(default_factory=ViewLimits)

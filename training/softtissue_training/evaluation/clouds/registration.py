@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
@@ -19,10 +18,16 @@ from softtissue_estimator.organ.organ import make_organ
 from softtissue_estimator.registration.elastic_modes import elastic_modes
 from softtissue_estimator.registration.find_pose import PoseFinder
 from softtissue_estimator.registration.poses import Poses
+from softtissue_training.errors import EvaluationStoppedError
 from softtissue_training.evaluation.clouds.plan import CloudPlan
-from softtissue_training.evaluation.clouds.store import SeenOrgan, read_organ
-from softtissue_training.evaluation.processes import ONE_THREAD, environment, in_processes
+from softtissue_training.evaluation.clouds.store import SeenOrgan, read_organ, result_key
+from softtissue_training.evaluation.clouds.told_poses import exact_pose
+from softtissue_training.evaluation.store import read_arrays, write_arrays
+from softtissue_training.evaluation.streams.evaluate import cache_in
 
+FloatArray = NDArray[np.float64]
+
+POSES_VERSION = 1
 RIGHT_M = 0.015
 """Mean error of the organ's points of a pose that is right."""
 
@@ -76,26 +81,86 @@ class Registered:
         return self.error_m < RIGHT_M
 
 
-def register_all(
-    plan: CloudPlan, folder: Path, *, workers: int, show_progress: bool = True
-) -> list[Registered]:
-    """Register every view of every organ.
+@dataclass(frozen=True, eq=False)
+class FoundView:
+    """The pose that was found in a cloud, with what is counted of it.
 
-    Parameters
+    Attributes
     ----------
-    workers
-        Processes; 0 works in this one.
+    registered
+    motion, covariance
+        As `FoundPose`.
     """
-    tasks = [(plan, folder, number) for number in range(plan.organs)]
-    found: list[Registered] = []
-    with (
-        environment(ONE_THREAD),
-        tqdm(total=len(tasks), unit="organ", desc="registering", disable=not show_progress) as bar,
-    ):
-        for several in _registered(tasks, workers):
-            found += several
-            bar.update()
-    return sorted(found, key=lambda one: (one.organ, one.view))
+
+    registered: Registered
+    motion: RigidMotion
+    covariance: FloatArray
+
+
+@dataclass(frozen=True)
+class RegistrationJob:
+    """All views of one organ, to be registered; what was found is kept in a file.
+
+    Attributes
+    ----------
+    plan, number
+        The organ.
+    views, poses, cache
+        Folders: of organs and views, of what was found, and of what the estimator prepares for the organ.
+    """
+
+    plan: CloudPlan
+    number: int
+    views: Path
+    poses: Path
+    cache: Path
+
+    @property
+    def path(self) -> Path:
+        """Where what was found is kept."""
+        return self.poses / f"{result_key(self.plan, self.number, f'poses {POSES_VERSION}')}.npz"
+
+    def missing(self) -> list[int]:
+        """List the organ, if nothing is kept of it."""
+        return [] if self.path.is_file() else [self.number]
+
+    def answer(self) -> None:
+        """Register the views and keep what is found."""
+        self.poses.mkdir(parents=True, exist_ok=True)
+        organ = read_organ(self.plan, self.views, self.number)
+        with cache_in(self.cache):
+            finder = PoseFinder(organ.surface, _elastic(organ))
+        found = [_registered_view(finder, organ, self.number, view) for view in range(len(organ.views))]
+        arrays = {
+            "rotation": np.stack([one.motion.rotation for one in found]),
+            "translation": np.stack([one.motion.translation for one in found]),
+            "covariance": np.stack([one.covariance for one in found]),
+        }
+        write_arrays(self.path, arrays, [asdict(one.registered) for one in found])
+
+    def read(self) -> list[FoundView]:
+        """Return what was found in each view.
+
+        Raises
+        ------
+        EvaluationStoppedError
+            It is missing or damaged.
+        """
+        stored = read_arrays(self.path)
+        if stored is None:
+            raise EvaluationStoppedError(
+                f"poses of organ {self.number}: expected a complete file, got a damaged one; delete {self.path} and "
+                "run it again"
+            )
+        arrays, about = stored
+        return [
+            FoundView(
+                Registered(**said),
+                RigidMotion(arrays["rotation"][view], arrays["translation"][view]),
+                arrays["covariance"][view],
+            )
+            for view, said in enumerate(about)
+        ]
 
 
 def summary(found: Sequence[Registered]) -> dict[str, Any]:
@@ -123,17 +188,6 @@ def summary(found: Sequence[Registered]) -> dict[str, Any]:
     }
 
 
-def _registered(tasks: list[tuple[CloudPlan, Path, int]], workers: int) -> Iterator[list[Registered]]:
-    return map(_register, tasks) if workers == 0 else in_processes(_register, tasks, workers)
-
-
-def _register(task: tuple[CloudPlan, Path, int]) -> list[Registered]:
-    plan, folder, number = task
-    organ = read_organ(plan, folder, number)
-    finder = PoseFinder(organ.surface, _elastic(organ))
-    return [_registered_view(finder, organ, number, view) for view in range(len(organ.views))]
-
-
 def _elastic(seen: SeenOrgan) -> NDArray[np.float32] | None:
     """Return how the organ bends, as the node's estimator would say: it knows where the organ is attached."""
     organ = make_organ("clouds", "organ", seen.surface, (), seen.attached)
@@ -142,7 +196,7 @@ def _elastic(seen: SeenOrgan) -> NDArray[np.float32] | None:
     return elastic_modes(estimator, organ.surface)
 
 
-def _registered_view(finder: PoseFinder, organ: SeenOrgan, number: int, view: int) -> Registered:
+def _registered_view(finder: PoseFinder, organ: SeenOrgan, number: int, view: int) -> FoundView:
     seen = organ.views[view]
     start, processor = time.perf_counter(), time.process_time()
     # The camera is the origin of the cloud's frame.
@@ -150,9 +204,9 @@ def _registered_view(finder: PoseFinder, organ: SeenOrgan, number: int, view: in
     seconds, processor_s = time.perf_counter() - start, time.process_time() - processor
     rest = organ.surface.vertices
     true = seen.camera.inner(rest + organ.displacement)
-    frame = RigidMotion(seen.camera.rotation.T, -seen.camera.position @ seen.camera.rotation)
+    frame = exact_pose(seen)
     step = Poses.of([frame]).steps_from(pose.motion, rest.mean(axis=0))[0]
-    return Registered(
+    registered = Registered(
         organ=number,
         view=view,
         visible_share=seen.visible_share,
@@ -160,7 +214,7 @@ def _registered_view(finder: PoseFinder, organ: SeenOrgan, number: int, view: in
         error_m=_mean_distance(pose.motion.apply(rest), true),
         least_error_m=_mean_distance(fit_rigid(rest, true).apply(rest), true),
         rest_error_m=_mean_distance(pose.motion.apply(rest), frame.apply(rest)),
-        ambiguous=pose.ambiguous,
+        ambiguous=bool(pose.ambiguous),
         overlap=pose.overlap,
         rms_m=pose.rms_m,
         second_error_m=None if pose.second is None else _mean_distance(pose.second.apply(rest), true),
@@ -168,15 +222,16 @@ def _registered_view(finder: PoseFinder, organ: SeenOrgan, number: int, view: in
         seconds=seconds,
         processor_s=processor_s,
     )
+    return FoundView(registered, pose.motion, pose.covariance)
 
 
-def _mean_distance(points: np.typing.NDArray[np.float64], others: np.typing.NDArray[np.float64]) -> float:
+def _mean_distance(points: FloatArray, others: FloatArray) -> float:
     return float(np.linalg.norm(points - others, axis=1).mean())
 
 
-def _share(flags: np.typing.NDArray[np.bool_], among: np.typing.NDArray[np.bool_]) -> float | None:
+def _share(flags: NDArray[np.bool_], among: NDArray[np.bool_]) -> float | None:
     return float(flags[among].mean()) if among.any() else None
 
 
-def _millimetres(values: Sequence[float], among: np.typing.NDArray[np.bool_]) -> float | None:
+def _millimetres(values: Sequence[float], among: NDArray[np.bool_]) -> float | None:
     return 1e3 * float(np.array(values)[among].mean()) if among.any() else None

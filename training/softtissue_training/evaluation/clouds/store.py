@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import zipfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import cache
 from itertools import count
 from pathlib import Path
 
@@ -16,6 +18,8 @@ from tqdm import tqdm
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.organ.mesh import SurfaceMesh
+from softtissue_estimator.organ.volume_mesh import VolumeMesh
+from softtissue_training.core_sources import core_sources
 from softtissue_training.evaluation.clouds.plan import CloudPlan
 from softtissue_training.evaluation.clouds.views import CloudView, view_of
 from softtissue_training.evaluation.processes import ONE_THREAD, environment, in_processes
@@ -25,7 +29,7 @@ from softtissue_training.simulation.simulate import simulate
 
 FloatArray = NDArray[np.float64]
 
-STORE_VERSION = 1
+STORE_VERSION = 2
 _ANEW = 1000
 """Between the numbers of an organ's draws."""
 
@@ -40,16 +44,24 @@ class SeenOrgan:
         At rest, organ's frame, m.
     attached
         (n,) true for vertices that do not move.
-    displacement
-        (n, 3) m of the vertices.
+    volume
+        Tetrahedra of the simulation, whose first nodes are the surface's vertices.
+    moved
+        (k, 3) m, displacement of all nodes.
     views
         What a camera sees of it.
     """
 
     surface: SurfaceMesh
     attached: NDArray[np.bool_]
-    displacement: FloatArray
+    volume: VolumeMesh
+    moved: FloatArray
     views: tuple[CloudView, ...]
+
+    @property
+    def displacement(self) -> FloatArray:
+        """(n, 3) m, displacement of the surface's vertices."""
+        return self.moved[: len(self.surface.vertices)]
 
 
 def make_organs(plan: CloudPlan, folder: Path, *, workers: int, show_progress: bool = True) -> None:
@@ -86,7 +98,7 @@ def read_organ(plan: CloudPlan, folder: Path, number: int) -> SeenOrgan:
     path = _path(folder, number)
     try:
         with np.load(path, allow_pickle=False) as stored:
-            if str(stored["about"]) != _about(plan, number):
+            if str(stored["about"]) != about(plan, number):
                 raise InvalidInputError(
                     f"{path}: expected views of the plan at hand, got others; name another --out"
                 )
@@ -95,14 +107,30 @@ def read_organ(plan: CloudPlan, folder: Path, number: int) -> SeenOrgan:
                     stored[f"points{k}"].astype(np.float64),
                     stored[f"label{k}"],
                     Pose(stored["rotation"][k], stored["position"][k]),
+                    stored["visible"][k],
                     float(stored["share"][k]),
                 )
                 for k in range(plan.views)
             )
-            surface = SurfaceMesh(stored["vertices"], stored["faces"])
-            return SeenOrgan(surface, stored["attached"], stored["displacement"], views)
+            volume = VolumeMesh(stored["nodes"], stored["tets"])
+            surface = SurfaceMesh(volume.nodes[: len(stored["attached"])], stored["faces"])
+            return SeenOrgan(surface, stored["attached"], volume, stored["moved"], views)
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise InvalidInputError(f"{path} must be complete, got: {error}") from error
+
+
+def result_key(plan: CloudPlan, number: int, *what: str) -> str:
+    """Return a hash for results: of an organ with its views, of the estimator's code, and of further words."""
+    content = "\0".join([about(plan, number), _core_digest(), *what])
+    return hashlib.sha256(content.encode()).hexdigest()[:24]
+
+
+@cache
+def _core_digest() -> str:
+    content = hashlib.sha256()
+    for path in core_sources():
+        content.update(path.read_bytes())
+    return content.hexdigest()
 
 
 def _made(tasks: list[tuple[CloudPlan, int, Path]], workers: int) -> Iterator[None]:
@@ -117,17 +145,19 @@ def _make(task: tuple[CloudPlan, int, Path]) -> None:
     ]
     arrays = {f"points{k}": view.points.astype(np.float32) for k, view in enumerate(views)}
     labels = {f"label{k}": view.label for k, view in enumerate(views)}
-    surface, path = sample.surface, _path(folder, number)
+    path = _path(folder, number)
     partial = path.with_name(f"{path.name}.partial{os.getpid()}.npz")
     np.savez_compressed(
         partial,
-        about=np.array(_about(plan, number)),
-        vertices=surface.vertices,
-        faces=surface.faces,
+        about=np.array(about(plan, number)),
+        nodes=sample.vertices.astype(np.float64),
+        tets=sample.tets.astype(np.int64),
+        faces=sample.surface.faces,
         attached=sample.attached_mask,
-        displacement=sample.displacement[: len(surface.vertices)].astype(np.float64),
+        moved=sample.displacement.astype(np.float64),
         rotation=np.stack([view.camera.rotation for view in views]),
         position=np.stack([view.camera.position for view in views]),
+        visible=np.stack([view.visible for view in views]),
         share=np.array([view.visible_share for view in views]),
         allow_pickle=False,
         **arrays,
@@ -151,8 +181,9 @@ def _path(folder: Path, number: int) -> Path:
     return folder / f"organ_{number:06d}.npz"
 
 
-def _about(plan: CloudPlan, number: int) -> str:
-    """Say what an organ's file depends on."""
+def about(plan: CloudPlan, number: int) -> str:
+    """Say what an organ and its views depend on."""
     described = {"version": STORE_VERSION, "number": number} | asdict(plan)
-    del described["organs"]
+    # How many there are, and how many of its views estimators are shown, changes none of them.
+    del described["organs"], described["asked"]
     return json.dumps(described, sort_keys=True)

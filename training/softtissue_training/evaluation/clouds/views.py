@@ -60,6 +60,8 @@ class CloudView:
         (n,) of each point: `cavity.ORGAN` and so on.
     camera
         Pose in the organ's frame.
+    visible
+        (m,) true for the faces of the organ's surface that are seen.
     visible_share
         Of the organ's surface.
     """
@@ -67,6 +69,7 @@ class CloudView:
     points: FloatArray
     label: NDArray[np.uint8]
     camera: Pose
+    visible: NDArray[np.bool_]
     visible_share: float
 
     @property
@@ -96,9 +99,10 @@ def view_of(sample: Sample, rng: np.random.Generator, limits: ViewLimits | None 
         points, label = sensor.cloud(frame, limits.points)
         if len(points) < 500 or (label == ORGAN).mean() < limits.least_organ_share:
             continue
-        share = _visible_share(frame.view.triangle[frame.matched], organ)
+        visible = _visible(frame.view.triangle[frame.matched], organ)
+        share = _share(visible, organ)
         if limits.visible_share[0] <= share <= limits.visible_share[1]:
-            return CloudView(points, label, pose, share)
+            return CloudView(points, label, pose, visible, share)
     raise InvalidInputError(f"simulated organ {sample.seed}: expected a view within {limits}, got none")
 
 
@@ -118,10 +122,17 @@ def _is_promising(scene: Moment, pose: Pose, organ: SurfaceMesh, limits: ViewLim
     if len(seen) == 0 or (scene.label[seen] == ORGAN).mean() < limits.least_organ_share - _GLANCE_ERROR:
         return False
     low, high = limits.visible_share
-    return low - _GLANCE_ERROR <= _visible_share(seen, organ) <= high + _GLANCE_ERROR
+    return low - _GLANCE_ERROR <= _share(_visible(seen, organ), organ) <= high + _GLANCE_ERROR
 
 
-def _visible_share(seen: NDArray[np.int64], organ: SurfaceMesh) -> float:
-    """Share of the organ's area whose triangles are seen, by numbers (n,); its triangles come first in the scene."""
-    seen, area = np.unique(seen), face_areas(organ)
-    return float(area[seen[seen < len(area)]].sum() / area.sum())
+def _visible(seen: NDArray[np.int64], organ: SurfaceMesh) -> NDArray[np.bool_]:
+    """Which faces of the organ, (m,), are among the triangles (n,) of the scene, of which its own come first."""
+    visible = np.zeros(len(organ.faces), dtype=bool)
+    visible[seen[seen < len(organ.faces)]] = True
+    return visible
+
+
+def _share(visible: NDArray[np.bool_], organ: SurfaceMesh) -> float:
+    """Share of the organ's area whose faces (m,) are visible."""
+    area = face_areas(organ)
+    return float(area[visible].sum() / area.sum())

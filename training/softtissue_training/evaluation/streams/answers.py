@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -11,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softtissue_estimator.config import EstimatorConfig
-from softtissue_estimator.errors import InvalidInputError, SoftTissueError
+from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.estimators.estimator import Estimate, create_estimator, estimator_names
 from softtissue_estimator.observation.bare_cloud import make_bare_cloud
 from softtissue_estimator.observation.observation import Observation, make_observation
@@ -19,6 +17,14 @@ from softtissue_estimator.organ.organ import Organ
 from softtissue_training.evaluation.case import EvaluationCase
 from softtissue_training.evaluation.methods import Method, MethodSpec
 from softtissue_training.evaluation.streams.conditions import Clouds
+from softtissue_training.evaluation.streams.frames import (
+    Frame,
+    StreamAnswers,
+    checked,
+    gathered,
+    reason,
+    timed,
+)
 from softtissue_training.evaluation.streams.pace import Pace
 from softtissue_training.evaluation.streams.recording import AnyStream
 
@@ -31,58 +37,6 @@ MEMORYLESS_STRIDE = 10
 """Estimators without a history answer every so many frames."""
 IMPROVES_BETWEEN_FRAMES = ("elastic",)
 """Kinds with a thread that is at work between frames, which get the time that it has in use."""
-NOT_SAID = -1
-"""Whether an answer is degraded, where the estimator does not say."""
-
-
-@dataclass(frozen=True, eq=False)
-class StreamAnswers:
-    """An estimator's answers to the clouds of one stream under one condition.
-
-    Attributes
-    ----------
-    index
-        (a,) of the clouds that were shown, in order.
-    answered
-        (a,) false where the estimator refused.
-    error
-        (a, p, 3) m, estimated minus true displacement; NaN where there is no answer.
-    sigma
-        (a, p) m; NaN where there is none.
-    seconds
-        (a,) that the estimate took by the clock.
-    processor_s
-        (a,) of processor time of the thread that asked, which other work on the machine does not change; NaN where it
-        is not known.
-    degraded
-        (a,) 1 and 0, or `NOT_SAID`.
-    failures
-        How often it refused for which reason.
-    event
-        See `Clouds`.
-    """
-
-    index: NDArray[np.int64]
-    answered: NDArray[np.bool_]
-    error: Float32Array
-    sigma: Float32Array
-    seconds: Float32Array
-    processor_s: Float32Array
-    degraded: NDArray[np.int8]
-    failures: dict[str, int]
-    event: int | None = None
-
-
-@dataclass(eq=False)
-class _Frame:
-    """What is kept of one frame."""
-
-    displacement: FloatArray | None = None
-    sigma: FloatArray | None = None
-    seconds: float = float("nan")
-    degraded: int = NOT_SAID
-    processor_s: float = float("nan")
-    failure: str | None = None
 
 
 @dataclass(eq=False)
@@ -130,8 +84,8 @@ class StreamMethod:
         try:
             self._begin(organ)
         except Exception as error:
-            return _gathered(stream, clouds, index, [_Frame(failure=_reason(error)) for _ in index])
-        frames: list[_Frame] = []
+            return _gathered(stream, clouds, index, [Frame(failure=reason(error)) for _ in index])
+        frames: list[Frame] = []
         pace = Pace(stream.interval_s)
         for number in index:
             if self.paced:
@@ -154,7 +108,7 @@ class StreamMethod:
             self._estimator.load_organ(organ)
             self._loaded = organ.digest
 
-    def _frame(self, stream: AnyStream, organ: Organ, clouds: Clouds, number: int) -> _Frame:
+    def _frame(self, stream: AnyStream, organ: Organ, clouds: Clouds, number: int) -> Frame:
         seen = clouds.seen[number]
         try:
             if clouds.bare:
@@ -172,30 +126,26 @@ class StreamMethod:
                 return self._estimated(lambda: self._estimator.estimate(observation), stream.inner)
             case = _case(stream, organ, observation, int(clouds.frames[number]))
             reading = self._memoryless.answer(case)
-            return _checked(_Frame(reading.displacement, reading.sigma, reading.seconds))
+            return checked(Frame(reading.displacement, reading.sigma, reading.seconds))
         except Exception as error:
-            return _Frame(failure=_reason(error))
+            return Frame(failure=reason(error))
 
-    def _bare(self, stream: AnyStream, organ: Organ, clouds: Clouds, number: int) -> _Frame:
+    def _bare(self, stream: AnyStream, organ: Organ, clouds: Clouds, number: int) -> Frame:
         """Show a cloud without correspondences."""
         if self._memoryless is not None:
             raise InvalidInputError("expected an estimator that answers clouds without correspondences")
         points = clouds.points[number][clouds.seen[number]]
-        checked, _ = make_bare_cloud(points, stream.told_noise_m, EstimatorConfig())
+        cloud, _ = make_bare_cloud(points, stream.told_noise_m, EstimatorConfig())
         covariance = None
         if clouds.registration_sigma is not None:
             covariance = np.diag(np.square(np.repeat(clouds.registration_sigma, 3)))
-        cloud = replace(checked, stamp_s=float(stream.times[number]), registration_covariance=covariance)
+        cloud = replace(cloud, stamp_s=float(stream.times[number]), registration_covariance=covariance)
         return self._estimated(lambda: self._estimator.estimate_bare(cloud), stream.inner)
 
-    def _estimated(self, estimate_it: Callable[[], Estimate], points: FloatArray) -> _Frame:
-        start, computed = time.perf_counter(), time.thread_time()
-        estimate = estimate_it()
-        seconds, processor_s = time.perf_counter() - start, time.thread_time() - computed
+    def _estimated(self, estimate_it: Callable[[], Estimate], points: FloatArray) -> Frame:
+        estimate, seconds, processor_s = timed(estimate_it)
         displacement, sigma = estimate.displacement_at(points)
-        return _checked(
-            _Frame(displacement, sigma, seconds, int(bool(estimate.diagnosis.doubts)), processor_s)
-        )
+        return checked(Frame(displacement, sigma, seconds, int(bool(estimate.diagnosis.doubts)), processor_s))
 
 
 def has_history(spec: MethodSpec) -> bool:
@@ -206,18 +156,6 @@ def has_history(spec: MethodSpec) -> bool:
 def is_paced(spec: MethodSpec) -> bool:
     """Whether frames wait until they are due, where nothing else is asked for."""
     return spec.kind in IMPROVES_BETWEEN_FRAMES
-
-
-def _checked(frame: _Frame) -> _Frame:
-    if not np.isfinite(frame.displacement).all() or (  # type: ignore[arg-type]
-        frame.sigma is not None and not np.isfinite(frame.sigma).all()
-    ):
-        raise SoftTissueError("the estimate has numbers that are not finite")
-    return frame
-
-
-def _reason(error: Exception) -> str:
-    return str(error) if isinstance(error, SoftTissueError) else f"{type(error).__name__}: {error}"
 
 
 def _case(stream: AnyStream, organ: Organ, observation: Observation, frame: int) -> EvaluationCase:
@@ -234,24 +172,6 @@ def _case(stream: AnyStream, organ: Organ, observation: Observation, frame: int)
 
 
 def _gathered(
-    stream: AnyStream, clouds: Clouds, index: NDArray[np.int64], frames: list[_Frame]
+    stream: AnyStream, clouds: Clouds, index: NDArray[np.int64], frames: list[Frame]
 ) -> StreamAnswers:
-    count = len(stream.inner)
-    error = np.full((len(frames), count, 3), np.nan, dtype=np.float32)
-    sigma = np.full((len(frames), count), np.nan, dtype=np.float32)
-    for row, (number, frame) in enumerate(zip(index, frames, strict=True)):
-        if frame.displacement is not None:
-            error[row] = frame.displacement - stream.truth[clouds.frames[number]]
-        if frame.sigma is not None:
-            sigma[row] = frame.sigma
-    return StreamAnswers(
-        index,
-        np.array([frame.failure is None for frame in frames]),
-        error,
-        sigma,
-        np.array([frame.seconds for frame in frames], dtype=np.float32),
-        np.array([frame.processor_s for frame in frames], dtype=np.float32),
-        np.array([frame.degraded for frame in frames], dtype=np.int8),
-        dict(Counter(frame.failure for frame in frames if frame.failure is not None)),
-        clouds.event,
-    )
+    return gathered(frames, stream.truth[clouds.frames[index]], index, clouds.event)

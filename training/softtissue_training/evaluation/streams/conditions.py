@@ -13,12 +13,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.organ.mesh import vertex_areas
 from softtissue_training.evaluation.streams.recording import AnyStream
 from softtissue_training.evaluation.streams.smooth_field import smooth_field, with_rms
 from softtissue_training.evaluation.streams.stream import Stream
+from softtissue_training.evaluation.streams.wrong_pose import wrong_pose
 from softtissue_training.organs.surface_patch import random_vertex, resized, surface_distance
 from softtissue_training.simulation.boundary_conditions import random_direction
 
@@ -36,7 +36,6 @@ OCCLUDED_S = (4.0, 6.0)
 JUMP_S = 3.0
 """How much of the motion happens between the two frames of a jump."""
 JUMP_RANGE_S = (2.0, 4.5)
-POSES = 6
 _INSTRUMENT_STAY_S, _INSTRUMENT_PERIOD_S = 2.5, 4.0
 _REGION_DRAWS = 30
 
@@ -95,28 +94,12 @@ def exact(stream: AnyStream, rng: np.random.Generator, pose: int) -> Clouds:
     )
 
 
-def pose_axes(pose: int) -> tuple[FloatArray, FloatArray]:
-    """Return the axis and the direction, (3,) each, of a registration's error.
-
-    The axes of six poses that follow each other are the six diagonals of an icosahedron, and so are the directions;
-    the next six turn the other way.
-    """
-    golden = 0.5 * (1.0 + np.sqrt(5.0))
-    diagonals = np.array(
-        [[0, 1, golden], [0, -1, golden], [1, golden, 0], [-1, golden, 0], [golden, 0, 1], [golden, 0, -1]]
-    ) / np.sqrt(1.0 + golden**2)
-    sign = -1.0 if (pose // POSES) % 2 else 1.0
-    return sign * diagonals[pose % POSES], sign * diagonals[(pose + 2) % POSES]
-
-
 def registration(
     stream: AnyStream, rng: np.random.Generator, pose: int, *, degrees: float, shift_m: float
 ) -> Clouds:
     """Turn all clouds about the stream's centre and shift them, the same way in every frame."""
-    axis, direction = pose_axes(pose)
-    turned = Rotation.from_rotvec(np.deg2rad(degrees) * axis).as_matrix()
-    points = (stream.points - stream.centre) @ turned.T + stream.centre + shift_m * direction
-    return replace(exact(stream, rng, pose), points=points)
+    motion = wrong_pose(pose, stream.centre, degrees=degrees, shift_m=shift_m)
+    return replace(exact(stream, rng, pose), points=motion.apply(stream.points))
 
 
 def outliers(stream: AnyStream, rng: np.random.Generator, pose: int, *, share: float) -> Clouds:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
+from typing import Protocol
 
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
@@ -14,7 +15,8 @@ from tqdm import tqdm
 from softtissue_training.errors import EvaluationStoppedError
 from softtissue_training.evaluation.methods import MethodSpec
 from softtissue_training.evaluation.processes import ONE_THREAD, environment, in_processes
-from softtissue_training.evaluation.streams.answers import MEMORYLESS_STRIDE, StreamAnswers, StreamMethod
+from softtissue_training.evaluation.streams.answers import MEMORYLESS_STRIDE, StreamMethod
+from softtissue_training.evaluation.streams.frames import StreamAnswers
 from softtissue_training.evaluation.streams.instances import Instance
 from softtissue_training.evaluation.streams.sources import StreamSource
 from softtissue_training.evaluation.streams.store import StreamStore, method_key
@@ -52,6 +54,18 @@ class StreamJob:
         """List the conditions without stored answers."""
         store = StreamStore(self.answers)
         return [one for one in self.instances if not store.has(self.source.key, one.name, self.method)]
+
+    def answer(self) -> None:
+        """Answer what is missing, and store each answer as it is made."""
+        with cache_in(self.cache):
+            stream, store = self.source.stream, StreamStore(self.answers)
+            method = StreamMethod(self.spec, self.paced, self.stride)
+            try:
+                for instance in self.missing():
+                    answers = method.answer(stream, self.source.clouds(instance))
+                    store.write(self.source.key, instance.name, self.method, answers)
+            finally:
+                method.close()
 
     def read(self, instance: Instance) -> StreamAnswers:
         """Return the stored answers of a condition.
@@ -111,8 +125,23 @@ def by_condition(jobs: Sequence[StreamJob]) -> list[StreamJob]:
     ]
 
 
+class Job(Protocol):
+    """Some questions to one estimator, small enough to be sent to another process."""
+
+    def missing(self) -> Sequence[object]:
+        """List what has no stored answer."""
+
+    def answer(self) -> None:
+        """Answer what is missing, and store each answer as it is made."""
+
+
 def answer_all(
-    jobs: Sequence[StreamJob], *, workers: int, unit: str = "stream", show_progress: bool = True
+    jobs: Sequence[Job],
+    *,
+    workers: int,
+    unit: str = "stream",
+    doing: str = "answering",
+    show_progress: bool = True,
 ) -> None:
     """Answer what is missing.
 
@@ -120,8 +149,8 @@ def answer_all(
     ----------
     workers
         Processes of one thread; 0 works in this one.
-    unit
-        What a job is called.
+    unit, doing
+        What a job and the work are called.
 
     Raises
     ------
@@ -137,7 +166,7 @@ def answer_all(
             total=len(jobs),
             initial=len(jobs) - len(missing),
             unit=unit,
-            desc="answering",
+            desc=doing,
             disable=not show_progress,
         ) as bar,
     ):
@@ -145,7 +174,15 @@ def answer_all(
             bar.update()
 
 
-def _answered(jobs: list[StreamJob], workers: int) -> Iterator[None]:
+@contextmanager
+def cache_in(folder: Path) -> Iterator[None]:
+    """Let estimators keep in a folder what they prepare for an organ."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with environment({"XDG_CACHE_HOME": str(folder)}):
+        yield
+
+
+def _answered(jobs: list[Job], workers: int) -> Iterator[None]:
     if workers and jobs:
         yield from in_processes(_answer, jobs, workers)
         return
@@ -153,14 +190,5 @@ def _answered(jobs: list[StreamJob], workers: int) -> Iterator[None]:
         yield from map(_answer, jobs)
 
 
-def _answer(job: StreamJob) -> None:
-    os.makedirs(job.cache, exist_ok=True)
-    with environment({"XDG_CACHE_HOME": str(job.cache)}):
-        stream, store = job.source.stream, StreamStore(job.answers)
-        method = StreamMethod(job.spec, job.paced, job.stride)
-        try:
-            for instance in job.missing():
-                answers = method.answer(stream, job.source.clouds(instance))
-                store.write(job.source.key, instance.name, job.method, answers)
-        finally:
-            method.close()
+def _answer(job: Job) -> None:
+    job.answer()

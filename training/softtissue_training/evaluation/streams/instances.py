@@ -10,12 +10,12 @@ import numpy as np
 
 from softtissue_training.evaluation.streams.conditions import (
     CONDITIONS,
-    POSES,
     Clouds,
     Condition,
     StreamT,
 )
 from softtissue_training.evaluation.streams.stream import Stream
+from softtissue_training.evaluation.streams.wrong_pose import POSES
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ def markdown(summary: Summary) -> str:
         *(
             part
             for label, rows in summary["all_frames"].items()
-            for part in (f"## {label}, every frame", _every_frame(rows))
+            for part in (f"## {label}, every frame", every_frame(rows))
         ),
         *_recovery(summary["recovery"]),
         "## Streams",
@@ -82,7 +82,8 @@ def milliseconds(time: Summary | None) -> str:
     return "-" if time is None else f"{time['median']:.0f} / {time['p95']:.0f}"
 
 
-def _every_frame(rows: Summary) -> str:
+def every_frame(rows: Summary) -> str:
+    """Return the table of all figures of one estimator, a row for each condition."""
     header = [
         "condition",
         "mean / 95 % / max, mm",

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softtissue_training.evaluation.streams.answers import NOT_SAID, StreamAnswers
-from softtissue_training.evaluation.streams.stream import FAR_M
+from softtissue_training.evaluation.inner_points import FAR_M
+from softtissue_training.evaluation.streams.frames import NOT_SAID, StreamAnswers
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from softtissue_estimator.errors import InvalidInputError
-from softtissue_training.evaluation.streams.conditions import POSES
 from softtissue_training.evaluation.streams.instances import Instance, has_pose
 from softtissue_training.evaluation.streams.recorded_conditions import RECORDED_CONDITIONS
 from softtissue_training.evaluation.streams.stream import StreamSettings
+from softtissue_training.evaluation.streams.wrong_pose import POSES
 from softtissue_training.simulation.moving_organ import MotionSettings
 
 QUICK_POSES, QUICK_STEP = 2, 2

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from softtissue_training.evaluation.benchmark.machine import busy_cores, machine
+from softtissue_training.evaluation.inner_points import FAR_M
 from softtissue_training.evaluation.methods import MethodSpec
 from softtissue_training.evaluation.report import replace_text, write_json
 from softtissue_training.evaluation.streams.answers import MEMORYLESS_STRIDE, has_history
@@ -31,7 +32,7 @@ from softtissue_training.evaluation.streams.motions import make_motions
 from softtissue_training.evaluation.streams.plan import StreamPlan
 from softtissue_training.evaluation.streams.sources import MovingOrganSource
 from softtissue_training.evaluation.streams.store import STREAMS_VERSION
-from softtissue_training.evaluation.streams.stream import FAR_M, Stream
+from softtissue_training.evaluation.streams.stream import Stream
 from softtissue_training.learning.provenance import commit, versions
 from softtissue_training.simulation.archive import digest
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from softtissue_training.evaluation.methods import MethodSpec
 from softtissue_training.evaluation.store import read_arrays, write_arrays
-from softtissue_training.evaluation.streams.answers import StreamAnswers, is_paced
+from softtissue_training.evaluation.streams.answers import is_paced
+from softtissue_training.evaluation.streams.frames import StreamAnswers
 
 STREAMS_VERSION = 1
 """Of how streams, conditions and answers are made; whatever changes, other files are looked for."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from softtissue_estimator.organ.mesh import SurfaceMesh, face_areas, sample_faces
 from softtissue_estimator.organ.organ import Organ, make_organ
 from softtissue_estimator.organ.volume_mesh import VolumeMesh
-from softtissue_training.evaluation.case import depth_below
+from softtissue_training.evaluation.inner_points import inner_points
 from softtissue_training.evaluation.observe import ordered_faces
 from softtissue_training.organs.surface_patch import draw_faces
 from softtissue_training.simulation.moving_organ import MovingOrgan
@@ -21,9 +21,6 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
-FAR_M = 0.030
-"""Points further than this from everything seen have a column of their own."""
-_CANDIDATES = 4000  # inner points that those to ask for are drawn from
 _OBSERVED, _NOISE, _INNER = range(3)  # what a generator is for
 
 
@@ -182,7 +179,7 @@ def make_stream(motion: MovingOrgan, name: str, seed: tuple[int, int], settings:
     reference, face, _ = sample_faces(surface, visible, settings.spacing_m)
     times: FloatArray = settings.interval_s * np.arange(settings.frames, dtype=np.float64)
     moved = motion.at(times)
-    inner, depth = _inner_points(volume, surface, visible, settings.inner_points, inside)
+    inner, depth = inner_points(volume, surface, visible, settings.inner_points, inside)
     interpolation = volume.interpolation(inner)
     return Stream(
         name=name,
@@ -206,23 +203,3 @@ def _face_normals(surface: SurfaceMesh) -> FloatArray:
     corners = surface.triangles
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
-
-
-def _inner_points(
-    volume: VolumeMesh, surface: SurfaceMesh, visible: BoolArray, count: int, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """Draw points (p, 3) m evenly from the volume, half of them far from what is seen; and their depths, (p,) m.
-
-    Where the organ has too few such places, the farthest are taken.
-    """
-    chosen = rng.choice(len(volume.tets), size=_CANDIDATES, p=volume.volumes / volume.volumes.sum())
-    weights = rng.dirichlet(np.ones(4), size=_CANDIDATES)
-    points = np.einsum("pa,pac->pc", weights, volume.nodes[volume.tets[chosen]])
-    depth = depth_below(points, surface, visible)
-    half = count // 2
-    far = np.flatnonzero(depth > FAR_M)[:half]
-    if len(far) < half:
-        far = np.argsort(-depth)[:half]
-    others = np.setdiff1d(np.arange(_CANDIDATES), far)[: count - half]
-    index = np.concatenate([far, others])
-    return points[index], depth[index]

@@ -13,14 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from softtissue_estimator.errors import SoftTissueError
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
 from softtissue_estimator.organ.organ import Organ, make_organ
 from softtissue_estimator.view.rendering import vertex_normals
-from softtissue_training.evaluation.streams.conditions import POSES, pose_axes
 from softtissue_training.evaluation.streams.smooth_field import smooth_field, with_rms
+from softtissue_training.evaluation.streams.wrong_pose import POSES, wrong_pose
 from softtissue_training.experiments.paired_points import PairedPoints
 from softtissue_training.experiments.phantom.bare import bare_cloud, loaded_estimator, registration_covariance
 from softtissue_training.experiments.phantom.case import PhantomCase
@@ -71,10 +70,8 @@ def misregistered_clouds(case: PhantomCase) -> Iterator[Cloud]:
     centre = points.mean(axis=0)
     covariance = registration_covariance(POSE_SHIFT_M, np.radians(POSE_DEGREES))
     for pose in range(POSES):
-        axis, direction = pose_axes(pose)
-        turned = Rotation.from_rotvec(np.radians(POSE_DEGREES) * axis).as_matrix()
-        moved = (points - centre) @ turned.T + centre + POSE_SHIFT_M * direction
-        yield Cloud(moved, covariance, case.markers.displacement)
+        motion = wrong_pose(pose, centre, degrees=POSE_DEGREES, shift_m=POSE_SHIFT_M)
+        yield Cloud(motion.apply(points), covariance, case.markers.displacement)
 
 
 def cut_clouds(case: PhantomCase, share: float) -> Iterator[Cloud]:
