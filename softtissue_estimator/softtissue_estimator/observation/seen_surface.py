@@ -1,8 +1,11 @@
 """What a bare cloud shows: small pieces of surface with their normals."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
 
 from softtissue_estimator.observation.bare_cloud import BareCloud
 from softtissue_estimator.observation.given_normals import average_normals
@@ -41,6 +44,18 @@ class SeenSurface:
     precision: FloatArray
     oriented: bool
     piece: IntArray
+
+    @cached_property
+    def _around(self) -> csr_array:
+        """One for every two pieces that are neighbours, (c, c)."""
+        first, second = cKDTree(self.position).query_pairs(_REACH_M, output_type="ndarray").T
+        count = len(self.position)
+        half = csr_array((np.ones(len(first)), (first, second)), shape=(count, count))
+        return csr_array(half + half.T)
+
+    def among(self, chosen: BoolArray) -> BoolArray:
+        """Tell of which pieces (c,) at least half of the neighbours are among those chosen, (c,), if it has any."""
+        return np.asarray(self._around @ (2.0 * chosen - 1.0) >= 0.0)
 
 
 def seen_surface(cloud: BareCloud) -> SeenSurface:

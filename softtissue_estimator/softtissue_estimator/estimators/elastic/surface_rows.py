@@ -105,11 +105,12 @@ def normal_rows(
 ) -> SurfaceRows:
     """Make an equation along the organ's normal of each piece of surface that was seen, (c,).
 
-    Those count that show the same side of a surface within a distance of the organ; `corrected` is where they are
-    estimated to be, (c, 3) m.
+    Those count that show the same side of a surface within a distance of the organ, as most of their neighbours do:
+    where a wall touches the organ, it is still a wall. `corrected` is where they are estimated to be, (c, 3) m.
     """
     offset = corrected - pairs.position
     near = np.abs(np.einsum("cd,cd->c", pairs.normal, offset)) <= _reach(reach_m, seen.precision)
+    on_organ = pairs.facing & near
     return SurfaceRows(
         pairs.normal,
         seen.position,
@@ -118,7 +119,7 @@ def normal_rows(
         pairs.nodes,
         pairs.weights,
         seen.precision,
-        pairs.facing & near,
+        on_organ & seen.among(on_organ),
     )
 
 

@@ -86,6 +86,26 @@ def test_only_what_faces_the_same_way_and_is_near_counts(model):
         observation(model, from_below).about(rest, exact(model), 0.006)
 
 
+def test_where_a_wall_touches_the_organ_it_is_still_a_wall(model):
+    """Twelve millimetres above what is hidden, but for a small place that is near and faces alike."""
+    left, right = TOP[TOP[:, 0] < 0.0], TOP[TOP[:, 0] > 0.015]
+    distance = np.linalg.norm(
+        right - right[np.argmin(np.square(right - [0.045, 0.0, 0.033]).sum(axis=1))], axis=1
+    )
+    touching = distance < 0.009
+    wall = right + np.where(touching, 0.003, 0.012)[:, None] * [0.0, 0.0, 1.0]
+    cloud = BareCloud(np.concatenate([left, wall]), np.full(len(left) + len(wall), 0.0003), CAMERA)
+    rest = torch.zeros_like(model.nodes)
+    matched = observation(model, cloud).about(rest, exact(model), 0.006)
+    assert matched.relied_on()[: len(left)].mean() > 0.95
+    assert not matched.relied_on()[len(left) :].any()
+    # An organ that is seen through a hole as small as that counts.
+    seen_alone = dataclasses.replace(cloud, points=np.concatenate([left, wall[touching]]))
+    seen_alone = dataclasses.replace(seen_alone, sigma=np.full(len(seen_alone.points), 0.0003))
+    relied_on = observation(model, seen_alone).about(rest, exact(model), 0.006).relied_on()
+    assert relied_on[len(left) :].mean() > 0.8
+
+
 def test_posterior_is_that_of_a_dense_gaussian_process_along_the_normals(model):
     matched = observation(model, seen(0.5, np.random.default_rng(2))).about(
         torch.zeros_like(model.nodes), exact(model), 0.01
