@@ -7,9 +7,8 @@ from softtissue_estimator.organ.mesh import FloatArray, IntArray
 
 _MOST_COUNTED_CELLS = 1 << 20  # of which a table is made: a megabyte
 _NOTHING = 1e-100  # no length of anything
-_LEAST_APART = (
-    1e-2  # products of differences between eigenvalues over their squared spread: with less LAPACK is asked
-)
+_LEAST_APART = 1e-2
+"""Product of differences between eigenvalues over their squared spread: with less LAPACK is asked."""
 _FARTHEST_CELLS = 1 << 19  # along an axis, kilometres: the number of a cell still fits into an integer
 
 

@@ -167,9 +167,7 @@ def posterior_factor(
 ) -> tuple[Tensor, Tensor]:
     """Return `factor` and `mean` of `Amplitudes`, of G and J^T S^-1 y, (r,), for given variances."""
     root = variances.roots(field_values, len(right))
-    precision = (gram * root).mul_(
-        root[:, None]
-    )  # as large as what there is to compute: no copy more than needed
+    precision = (gram * root).mul_(root[:, None])  # large: one copy less
     precision.diagonal().add_(1.0)
     factor = torch.linalg.cholesky(precision)
     mean = root * torch.cholesky_solve((root * right)[:, None], factor)[:, 0]

@@ -176,11 +176,8 @@ class MovedSurface:
 
     def _carried_normals(self, normal: FloatArray, tet: IntArray) -> FloatArray:
         """Return normals (c, 3) at rest by the edges of their tetrahedra: cof(E^-1) N, E the edges at rest."""
-        first, second, third = self._mesh.inverse_edges[tet].transpose(2, 0, 1)  # columns of E^-1
-        carried = normal[:, :1] * np.cross(second, third)
-        carried += normal[:, 1:2] * np.cross(third, first)
-        carried += normal[:, 2:] * np.cross(first, second)
-        return unit_rows(carried)
+        first, second, third = self._mesh.inverse_edges[tet].transpose(2, 1, 0)  # columns of E^-1
+        return _by_cofactor(first, second, third, normal)
 
     def _turned(self, carried: FloatArray, tet: IntArray, displacement: FloatArray) -> FloatArray:
         """Return normals (c, 3) of the surface as it has moved, from those by the edges: cof(F) N, without its length.
@@ -189,10 +186,15 @@ class MovedSurface:
         """
         corners = np.ascontiguousarray((self._mesh.nodes + displacement).T)[:, self._mesh.tets.T[:, tet]]
         first, second, third = (corners[:, edge] - corners[:, 3] for edge in range(3))
-        turned = carried[:, 0] * _cross(second, third)
-        turned += carried[:, 1] * _cross(third, first)
-        turned += carried[:, 2] * _cross(first, second)
-        return unit_rows(np.ascontiguousarray(turned.T))
+        return _by_cofactor(first, second, third, carried)
+
+
+def _by_cofactor(first: FloatArray, second: FloatArray, third: FloatArray, normal: FloatArray) -> FloatArray:
+    """Return normals (c, 3) times the cofactors of matrices, given by columns (3, c), without their lengths."""
+    turned = normal[:, 0] * _cross(second, third)
+    turned += normal[:, 1] * _cross(third, first)
+    turned += normal[:, 2] * _cross(first, second)
+    return unit_rows(np.ascontiguousarray(turned.T))
 
 
 def _cross(first: FloatArray, second: FloatArray) -> FloatArray:

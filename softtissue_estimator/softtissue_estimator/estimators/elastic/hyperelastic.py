@@ -224,18 +224,11 @@ class HyperelasticBody:
             About the other displacement, with the same Poisson's ratio.
         state : (n, 3) float64 m
             Towards which it goes, as far as no sound element collapses on the way.
-        rest : (n, 3) float64 m
-            Displacement at which the springs are at rest.
-        poisson_ratio : float
-            From 0 to below 0.5.
-
-        Raises
-        ------
-        InvalidInputError
-            For another Poisson's ratio.
+        rest, poisson_ratio
+            As of `linearise`, which says what it raises, too.
         """
-        state = self.guarded(tangent.state, state)
-        stress = self._elements.stress(self.deformation_gradient(state), *lame_constants(poisson_ratio))
+        state, gradient = self._guarded(tangent.state, state)
+        stress = self._elements.stress(gradient, *lame_constants(poisson_ratio))
         offset = state - tangent.stiffness.displacement(self._force(stress, state, rest))
         # With the stiffness of a state far away such steps may lead further and further away.
         change = offset - tangent.offset
@@ -245,19 +238,20 @@ class HyperelasticBody:
 
     def guarded(self, start: Tensor, end: Tensor) -> Tensor:
         """Go from one displacement (n, 3) m towards another, as far as no sound element collapses on the way."""
-        least = 0.5 * COLLAPSED_VOLUME_RATIO
-        if not bool((determinant(self.deformation_gradient(end)) < least).any()):
-            return end
-        before = determinant(self.deformation_gradient(start))
-        sound = before > COLLAPSED_VOLUME_RATIO
-        share = 1.0
-        while share > _SMALLEST_STEP_SHARE:
+        return self._guarded(start, end)[0]
+
+    def _guarded(self, start: Tensor, end: Tensor) -> tuple[Tensor, Tensor]:
+        """Return where `guarded` ends, and the deformation gradients there, (m, 3, 3)."""
+        share, sound = 1.0, None
+        while True:
             state = start + share * (end - start)
-            after = determinant(self.deformation_gradient(state))
-            if not bool((sound & (after < least)).any()):
-                return state
+            gradient = self.deformation_gradient(state)
+            flat = determinant(gradient) < 0.5 * COLLAPSED_VOLUME_RATIO
+            if sound is None and bool(flat.any()):
+                sound = determinant(self.deformation_gradient(start)) > COLLAPSED_VOLUME_RATIO
+            if sound is None or not bool((sound & flat).any()) or share <= _SMALLEST_STEP_SHARE:
+                return state, gradient
             share *= _SHORTER_STEP
-        return start + share * (end - start)
 
     def _force(self, stress: Tensor, state: Tensor, rest: Tensor) -> Tensor:
         """Nodal forces by which elements and springs resist a displacement, (n, 3)."""

@@ -9,6 +9,9 @@ from torch import Tensor
 from softtissue_estimator.estimators.elastic.linear_gaussian import equal_variances
 from softtissue_estimator.estimators.elastic.tangent import Tangent
 
+LEAST_START_SHARE = 1e-2
+"""Of a load's variance before any observation, with which a step begins that goes on from earlier ones: an organ at
+rest leaves none, and without any nothing could move it again."""
 _HELD_SHARE = 1e-9
 """Of the variance of a load that pushes: with it what holds the organ stays where it is."""
 
@@ -46,6 +49,10 @@ class LoadsPrior:
         pushes = slice(0, self.pushing) if loads is None else loads < self.pushing
         equal = equal_variances(tangent, nodes, self.sigma_m, pushes)
         return equal if self.attachment_moves else self.held(equal, loads)
+
+    def least(self, tangent: Tangent, nodes: Tensor, loads: Tensor | None = None) -> Tensor:
+        """Return what the variances are at least where a step goes on from earlier ones, (p,); see `variances`."""
+        return LEAST_START_SHARE * self.variances(tangent, nodes, loads)
 
     def held(self, variances: Tensor, loads: Tensor | None = None) -> Tensor:
         """Return variances (p,) that let next to nothing move what holds the organ, unless it may move."""

@@ -31,9 +31,6 @@ from softtissue_estimator.organ.mesh import FloatArray
 
 VARIANCE_UPDATES = 5  # of the loads, a step
 FIRST_MODEL_SIGMA_M = 0.002  # error of the model in the first step, before there is a residual that shows it
-LEAST_START_SHARE = 1e-2
-"""Of a load's variance before any observation, with which a step begins that goes on from earlier ones: an organ at
-rest leaves none, and without any nothing could move it again."""
 REACH_M = 0.006
 """A surface that was seen farther from the organ than this, where the organ has been found, is none of it."""
 _FIRST_REACH_DEVIATIONS = 3.0  # of the first, coarse errors: so far it may be from an organ yet to be found
@@ -141,19 +138,19 @@ class Solver:
         observed = self._observation.about(predicted, self.registration, REACH_M)
         weight, sigma = np.ones(len(observed.precision)), start.model_sigma_m
         tangent = self._model.following(tangent, predicted, self._rest, start.ratio)
-        least = LEAST_START_SHARE * self.prior.variances(tangent, observed.nodes, start.loads)
-        earlier = start.variances.going_on(self._first_fields)
+        least = self.prior.least(tangent, observed.nodes, start.loads)
+        variances = start.variances.going_on(self._first_fields).at_least_each(least)
         for turn in range(self._observation.turns):
             explain = partial(
                 self._explain,
                 observed,
                 tangent,
                 self.registration,
-                earlier.at_least_each(least),
+                variances,
                 weight=weight,
                 updates=1,
                 ratio=start.ratio,
-                most_fields=earlier.fields,  # what is larger than all errors before is a motion
+                most_fields=variances.fields,  # what is larger than all errors before is a motion
             )
             posterior = self._plausible(explain, sigma, observed)
             if not turn:  # the error of the model is still that of before
@@ -163,7 +160,8 @@ class Solver:
                 observed, residual = self._observation.anew(posterior, REACH_M)
             weight = self._misfit.weights(observed, residual, posterior.model_sigma_m)
             misfit = self._misfit.unexplained(observed, residual, weight)
-            # Loads that explained the earlier observation closely explain this one at any price.
+            # Loads that explained the earlier observation closely explain this one at any price, however far they move
+            # what is hidden.
             sigma = max(sigma, self._misfit.model_sigma(misfit))
             settled = observed is posterior.observed and weight.min() == 1.0
             if settled and sigma <= _LARGER_MODEL_SIGMA_RATIO * posterior.model_sigma_m:
@@ -250,7 +248,7 @@ class Solver:
         if variances is None:
             begin = posterior.amplitudes.prior
         else:
-            least = LEAST_START_SHARE * self.prior.variances(tangent, observed.nodes)
+            least = self.prior.least(tangent, observed.nodes)
             begin = variances.going_on(self._first_fields).at_least_each(least)
         better = self._plausible(
             lambda sigma: self._explain(

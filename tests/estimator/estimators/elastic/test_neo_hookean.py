@@ -3,10 +3,9 @@ import pytest
 import torch
 
 from estimator.shapes import box_tets
-from softtissue_estimator.estimators.elastic.averaged_volume import AveragedVolume
-from softtissue_estimator.estimators.elastic.elasticity import lame_constants, shape_gradients
+from softtissue_estimator.estimators.elastic.elasticity import lame_constants
 from softtissue_estimator.estimators.elastic.hyperelastic import HyperelasticBody
-from softtissue_estimator.estimators.elastic.neo_hookean import NeoHookeanElements, determinant
+from softtissue_estimator.estimators.elastic.neo_hookean import determinant
 
 CPU = torch.device("cpu")
 
@@ -21,9 +20,7 @@ def test_stress_alone_is_that_beside_the_stiffness(collapsed):
     mesh = box_tets((0.06, 0.04, 0.03), (3, 2, 2))
     count = len(mesh.nodes)
     body = HyperelasticBody(mesh, 0.01 * np.eye(count), np.eye(count)[:, :1], CPU)
-    elements = NeoHookeanElements(
-        torch.from_numpy(shape_gradients(mesh)), AveragedVolume(mesh, body._layers, CPU)
-    )
+    elements = body._elements
     moved = 0.002 * torch.randn((count, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     if collapsed:
         moved[0] += 0.05
