@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csc_array
 
 from softtissue_estimator.errors import InvalidInputError
 from softtissue_estimator.observation.observation import Observation
@@ -125,10 +124,9 @@ def _weighted_means(
     group: IntArray, weight: FloatArray, values: FloatArray, count: int
 ) -> tuple[FloatArray, FloatArray]:
     """Sum of the weights and weighted mean of the values (n, 3) of every group, (count,) and (count, 3)."""
-    # One nonzero a column: the product runs through the points once, as they lie in memory.
-    spread = csc_array((weight, group, np.arange(len(group) + 1)), shape=(count, len(group)))
     total = sum_by_index(group, weight, count)
-    return total, (spread @ values) / np.maximum(total, 1e-300)[:, None]
+    sums = [sum_by_index(group, weight * column, count) for column in values.T]
+    return total, np.stack(sums, axis=1) / np.maximum(total, 1e-300)[:, None]
 
 
 def _deviation(values: FloatArray, mean: FloatArray, group: IntArray, weight: FloatArray) -> FloatArray:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import igl
 import numpy as np
-from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from softtissue_estimator.organ.mesh import BoolArray, FloatArray, IntArray, SurfaceMesh, unit_rows
@@ -75,11 +74,6 @@ class MaterialPoints:
     nodes: IntArray
     weights: FloatArray
     rest_normal: FloatArray
-
-    def interpolation(self, count: int) -> csr_array:
-        """Interpolate from so many nodes, n, to the points, (c, n)."""
-        begins = np.arange(0, 4 * len(self.nodes) + 1, 4)
-        return csr_array((self.weights.ravel(), self.nodes.ravel(), begins), shape=(len(self.nodes), count))
 
 
 class MovedSurface:

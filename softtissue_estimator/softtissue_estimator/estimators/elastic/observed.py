@@ -74,10 +74,6 @@ class Matchable(Protocol):
         """Standard deviation of each field of errors that neighbours share, before the evidence tells it, m."""
 
     @property
-    def turns(self) -> int:
-        """How often a frame that follows another one explains it, at most."""
-
-    @property
     def least_sigma_m(self) -> float:
         """Error of the model that its patches show at least, m."""
 
@@ -147,6 +143,9 @@ class Observed(Protocol):
 
     def relied_on(self) -> BoolArray | None:
         """See `Estimate.relied_on`."""
+
+    def holds(self, explained: Explained) -> bool:
+        """Whether its matches are those with the organ as a posterior of them has it, too."""
 
     def condition(
         self,

@@ -1,13 +1,13 @@
 """An observation, summed up at the nodes of the mesh that it depends on: as large as these, however many its points."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
-from scipy.sparse import csr_array
 from torch import Tensor
 
-from softtissue_estimator.organ.mesh import FloatArray
+from softtissue_estimator.organ.mesh import FloatArray, IntArray, sum_by_index
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +37,10 @@ class ObservedPlaces:
 
     Parameters
     ----------
-    interpolation : (c, n) sparse
-        From the nodes of its mesh to the places: H for one component.
+    nodes : (c, k) int64
+        Of the organ's mesh, between which each place lies.
+    weights : (c, k)
+        Of these there: the rows of H for one component.
     device : torch.device
 
     Attributes
@@ -47,23 +49,30 @@ class ObservedPlaces:
         That the places lie between.
     """
 
-    def __init__(self, interpolation: csr_array, device: torch.device) -> None:
-        used = np.zeros(interpolation.shape[1], dtype=np.bool_)
-        used[interpolation.indices] = True
-        nodes = np.flatnonzero(used)
-        place = (np.cumsum(used) - 1)[interpolation.indices]
-        entries = interpolation.data, place, interpolation.indptr
-        self._interpolation = csr_array(entries, shape=(interpolation.shape[0], len(nodes)))
-        self.nodes = torch.from_numpy(nodes).to(device)
+    def __init__(self, nodes: IntArray, weights: FloatArray, device: torch.device) -> None:
+        used = np.zeros(int(nodes.max(initial=-1)) + 1, dtype=np.bool_)
+        used[nodes] = True
+        self._of, self._weights = (np.cumsum(used) - 1)[nodes], weights
+        self.nodes = torch.from_numpy(np.flatnonzero(used)).to(device)
         self._device = device
 
     def at(self, nodal: Tensor) -> FloatArray:
-        """Interpolate what is known at `nodes`, (s, k), to the places, (c, k)."""
-        return np.asarray(self._interpolation @ nodal.cpu().numpy())
+        """Interpolate what is known at `nodes`, (s, d), to the places, (c, d)."""
+        return np.asarray(np.einsum("ck,ckd->cd", self._weights, nodal.cpu().numpy().take(self._of, axis=0)))
 
     def collected(self, placed: FloatArray) -> FloatArray:
-        """Sum what is known at the places, (c, k), up at `nodes`, (s, k)."""
-        return np.asarray(self._interpolation.T @ placed)
+        """Sum what is known at the places, (c, d), up at `nodes`, (s, d)."""
+        of, count = self._of.ravel(), len(self.nodes)
+        columns = [sum_by_index(of, (self._weights * one[:, None]).ravel(), count) for one in placed.T]
+        return np.stack(columns, axis=1)
+
+    @cached_property
+    def _products(self) -> tuple[IntArray, FloatArray]:
+        """Products of any two weights of a place, (c, k^2), and which entry of H^T H each belongs to."""
+        rows, weights = self._of, self._weights
+        entry = rows[:, :, None] * len(self.nodes) + rows[:, None, :]
+        product = weights[:, :, None] * weights[:, None, :]
+        return entry.ravel(), product.reshape(len(rows), -1)
 
     def sum_up(self, observed: FloatArray, precision: FloatArray) -> ObservedNodes:
         """Sum an observation up.
@@ -75,11 +84,15 @@ class ObservedPlaces:
         precision : (c,) 1/m^2
             Inverse variance of each component of `observed`.
         """
-        whole = self._interpolation
-        weights = precision.repeat(np.diff(whole.indptr))
-        weighted = csr_array((whole.data * weights, whole.indices, whole.indptr), shape=whole.shape)
-        right = torch.from_numpy(np.asarray(weighted.T @ observed))
-        # Of so few nodes a dense matrix is faster than a sparse one.
-        normal = torch.from_numpy((whole.T @ weighted).toarray())
+        # So few numbers are summed up faster than a sparse matrix is made.
+        entry, product = self._products
+        count = len(self.nodes)
+        normal = sum_by_index(entry, (product * precision[:, None]).ravel(), count * count)
+        right = self.collected(observed * precision[:, None])
         power = float(precision @ np.square(observed).sum(axis=1))
-        return ObservedNodes(self.nodes, normal.to(self._device), right.to(self._device), power)
+        return ObservedNodes(
+            self.nodes,
+            torch.from_numpy(normal.reshape(count, count)).to(self._device),
+            torch.from_numpy(right).to(self._device),
+            power,
+        )

@@ -60,7 +60,6 @@ class PairsObservation:
         Variance of the sensor's error along its ray, of each component along any axis, and of the slide, at most.
     """
 
-    turns = 2
     identified = True
     first_sigmas_m: tuple[float, ...] = ()
     least_sigma_m = 0.0
@@ -77,7 +76,7 @@ class PairsObservation:
         self.patches, self.nodes_at_rest, self.kept = patches, model.nodes, kept
         self._surface = model.moved_surface
         self._material = self._surface.followed(patches.reference)
-        self.places = ObservedPlaces(self._material.interpolation(len(model.nodes)), model.device)
+        self.places = ObservedPlaces(self._material.nodes, self._material.weights, model.device)
         most = sensor_bias_m, sensor_bias_m, match_slide_m / math.sqrt(2.0)
         self.first_fields_m = tuple(min(FIRST_SIGMA_M, one) for one in most)
         self.most_fields = model.nodes.new_tensor(most).square()
@@ -148,6 +147,10 @@ class ObservedPairs:
     def relied_on(self) -> BoolArray | None:
         """See `Estimate.relied_on`."""
         return self._whole.kept
+
+    def holds(self, explained: Explained) -> bool:
+        """See `Observed.holds`: pairs are given."""
+        return True
 
     def condition(
         self,

@@ -34,6 +34,7 @@ FIRST_MODEL_SIGMA_M = 0.002  # error of the model in the first step, before ther
 REACH_M = 0.006
 """A surface that was seen farther from the organ than this, where the organ has been found, is none of it."""
 _FIRST_REACH_DEVIATIONS = 3.0  # of the first, coarse errors: so far it may be from an organ yet to be found
+_MOST_TURNS = 2  # in which a frame that follows another one is explained
 _FILLED_SHARE = 0.1  # of a load's variance before any observation: the least with which others are chosen
 LOST_TRACK_MISFIT_M = 0.0015
 """Where more than this is left unexplained, the organ has moved too far to be followed."""
@@ -140,7 +141,7 @@ class Solver:
         tangent = self._model.following(tangent, predicted, self._rest, start.ratio)
         least = self.prior.least(tangent, observed.nodes, start.loads)
         variances = start.variances.going_on(self._first_fields).at_least_each(least)
-        for turn in range(self._observation.turns):
+        for turn in range(_MOST_TURNS):
             explain = partial(
                 self._explain,
                 observed,
@@ -156,7 +157,7 @@ class Solver:
             if not turn:  # the error of the model is still that of before
                 innovation = posterior.surprise
             residual = posterior.residual
-            if turn + 1 < self._observation.turns:
+            if turn + 1 < _MOST_TURNS and not observed.holds(posterior):
                 observed, residual = self._observation.anew(posterior, REACH_M)
             weight = self._misfit.weights(observed, residual, posterior.model_sigma_m)
             misfit = self._misfit.unexplained(observed, residual, weight)

@@ -6,7 +6,7 @@ from typing import cast
 import numpy as np
 import pytest
 import torch
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 from scipy.stats import multivariate_normal
 
 from estimator.linear_stiffness import averaged_stiffness
@@ -53,7 +53,7 @@ SLIDE = torch.from_numpy(np.random.default_rng(7).normal(size=(len(OBSERVED), 3,
 ALL_FIELDS = Errors(FIELD, NO_NUISANCE, RAY, SLIDE)
 SHIFT = 0.005 * torch.eye(3, dtype=torch.float64).expand(len(OBSERVED), 3, 3)
 SIGMA_M = 0.001
-PLACES = ObservedPlaces(OBSERVE, CPU)
+PLACES = ObservedPlaces(OBSERVED[:, None], np.ones((len(OBSERVED), 1)), CPU)
 FIELD_SIGMA_M = 0.0005
 
 
@@ -207,13 +207,32 @@ def test_equal_variances_move_the_observed_nodes_as_far_as_expected():
     assert np.sqrt(by_node.mean()) == pytest.approx(0.02, rel=1e-3)
 
 
+def test_places_between_nodes_are_summed_up_by_their_weights():
+    rng = np.random.default_rng(8)
+    nodes = np.array([rng.choice(30, 4, replace=False) for _ in range(20)]) + 5
+    weights, data, precision = rng.dirichlet(np.ones(4), 20), rng.normal(size=(20, 3)), rng.uniform(1, 9, 20)
+    places = ObservedPlaces(nodes, weights, CPU)
+    summed = places.sum_up(data, precision)
+    used = summed.nodes.numpy()
+    assert set(used) == set(nodes.ravel())
+    rows = np.zeros((20, 35))
+    np.put_along_axis(rows, nodes, weights, axis=1)
+    rows = rows[:, used]
+    np.testing.assert_allclose(summed.normal.numpy(), rows.T @ (precision[:, None] * rows), atol=1e-12)
+    np.testing.assert_allclose(summed.right.numpy(), rows.T @ (precision[:, None] * data), atol=1e-12)
+    assert summed.power == pytest.approx((precision[:, None] * data**2).sum())
+    nodal = rng.normal(size=(len(used), 2))
+    np.testing.assert_allclose(places.at(torch.from_numpy(nodal)), rows @ nodal, atol=1e-12)
+    np.testing.assert_allclose(places.collected(data), rows.T @ data, atol=1e-12)
+
+
 def test_more_points_are_summed_up_exactly():
     data = observed(noise=0.002)
     one = told(data)
     two = told(
         np.concatenate([data] * 2),
         np.sqrt(2.0) * SIGMA_M,
-        ObservedPlaces(vstack([OBSERVE] * 2, format="csr"), CPU),
+        ObservedPlaces(np.tile(OBSERVED, 2)[:, None], np.ones((2 * len(OBSERVED), 1)), CPU),
     )
     for first, second in zip(
         (one.nodes, one.normal, one.right),
@@ -234,8 +253,7 @@ def test_one_pushed_patch_is_found_among_all():
     truth = np.linalg.solve(matrix, (LOADS @ force).ravel()).reshape(-1, 3)
     truth *= 0.02 / np.abs(truth).max()
     part = OBSERVED[MESH.nodes[OBSERVED, 0] < 0.05]  # the pushed end itself is not observed
-    rows = csr_array((np.ones(len(part)), (np.arange(len(part)), part)), shape=(len(part), len(MESH.nodes)))
-    summed = told(truth[part], 0.0005, ObservedPlaces(rows, CPU))
+    summed = told(truth[part], 0.0005, ObservedPlaces(part[:, None], np.ones((len(part), 1)), CPU))
     start = variances(equal_variances(TANGENT, summed.nodes, 0.015))
     none = Errors(NO_FIELD[: len(part)], NO_NUISANCE[: len(part)])
     found = [condition(TANGENT, summed, none, start, updates)[0] for updates in (0, 15)]

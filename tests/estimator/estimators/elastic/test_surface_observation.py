@@ -1,6 +1,7 @@
 """Clouds without correspondences: nearest points, equations along normals, streams."""
 
 import dataclasses
+import threading
 
 import numpy as np
 import pytest
@@ -182,6 +183,43 @@ def test_a_stream_of_bare_clouds_is_followed_from_rest():
         assert error.mean() < 0.002
         assert sigma.mean() < 0.005
         assert not answer.diagnosis.doubts
+    finally:
+        estimator.close()
+
+
+def test_a_frame_is_explained_again_only_where_the_organ_or_the_registration_moved(monkeypatch):
+    estimator = ElasticEstimator(dataclasses.replace(CONFIG, tracking=True, tracking_patience_s=60.0))
+    estimator.load_organ(ORGAN)
+    mine, made = threading.get_ident(), []
+    again = SurfaceObservation.anew
+
+    def counted(self, explained, reach_m):
+        if threading.get_ident() == mine:  # the tracker's thread makes each of its matches again
+            made.append(reach_m)
+        return again(self, explained, reach_m)
+
+    monkeypatch.setattr(SurfaceObservation, "anew", counted)
+    try:
+        rng = np.random.default_rng(9)
+
+        def matched_again(size, shift, stamp_s):
+            made.clear()
+            cloud = seen(size, rng)
+            estimator.estimate_bare(dataclasses.replace(cloud, points=cloud.points + shift, stamp_s=stamp_s))
+            return len(made)
+
+        for frame in range(8):
+            matched_again(0.0, 0.0, 1.0 + 0.2 * frame)
+        assert matched_again(0.05, 0.0, 3.0) == 0  # by 0.8 mm at most
+        assert matched_again(0.35, 0.0, 3.1) == 1  # by 5 mm more
+        estimator.forget()
+        covariance = np.diag([0.004**2] * 3 + [0.01**2] * 3)
+        off = dataclasses.replace(seen(0.0, rng), registration_covariance=covariance, stamp_s=4.0)
+        estimator.estimate_bare(off)
+        made.clear()
+        moved = dataclasses.replace(off, points=off.points + np.array([0.0, 0.0, 0.005]), stamp_s=4.1)
+        estimator.estimate_bare(moved)
+        assert len(made) == 1
     finally:
         estimator.close()
 
