@@ -13,7 +13,7 @@ from softtissue_estimator.organ.surface_lookup import SurfaceLookup
 _ROTATION_PRIOR_RAD = 0.5  # standard deviation of the rotation where few points leave it open
 _SMALLEST_SIGMA_M = 1e-5  # no sensor is surer; a point that claims zero would outweigh all others
 _OUTLIER_DEVIATIONS = 6.0  # standard deviations from a patch's mean from which a point is weighted down
-_STUDENT_FREEDOM = 4.0  # degrees of freedom: heavy tails, and still a finite variance
+STUDENT_FREEDOM = 4.0  # degrees of freedom: heavy tails, and still a finite variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +115,9 @@ def student_weights(residual: FloatArray, precision: FloatArray, components: int
     """
     squared = np.einsum("cd,cd->c", residual, residual) * precision / components
     scale = max(1.0, float(np.median(squared)))
-    return np.asarray(
-        (_STUDENT_FREEDOM + components) / (_STUDENT_FREEDOM + components * squared / scale)
-    ).clip(max=1.0)
+    return np.asarray((STUDENT_FREEDOM + components) / (STUDENT_FREEDOM + components * squared / scale)).clip(
+        max=1.0
+    )
 
 
 def _weighted_means(

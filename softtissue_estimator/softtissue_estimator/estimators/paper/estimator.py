@@ -6,7 +6,6 @@ Its network answers in the organ's frame, as published, or in that of the rigid 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,12 +31,14 @@ from softtissue_estimator.estimators.paper.network_input import (
     organ_grid,
 )
 from softtissue_estimator.estimators.paper.network_spec import NetworkSpec
+from softtissue_estimator.estimators.paper.residual import ResidualCorrection
 from softtissue_estimator.estimators.paper.rigid_frame import out_of_frame
 from softtissue_estimator.inference.captured_call import CapturedCall
 from softtissue_estimator.inference.device import StageClock, choose_device, one_thread, to_host
 from softtissue_estimator.inference.precision import choose_precision
 from softtissue_estimator.inference.runtime import NetworkRuntime
 from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.observation.patch_average import average_patches
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.organ import Organ
 from softtissue_estimator.support.resources import bundled_checkpoint
@@ -54,18 +55,20 @@ class _Prepared:
     cells
         (X, Y, Z, 3) float32 metres, where the cells of the grid are.
     field
-        From what is known (X, Y, Z, 4), as `known_displacement` makes it, to the field (X, Y, Z, c): displacement in
-        the network's frame and, with c = 4, standard deviation; metres.
-    answer
-        The same, and the field's values at the organ's query points (q, c).
+        From what is known (X, Y, Z, 4), as `known_displacement` makes it, to the network's field (X, Y, Z, c):
+        displacement in its frame and, with c = 4, standard deviation; metres.
+    correction
+        From that field to one that is nearer to what is observed.
+    sampler
+        From a field to its values at the organ's query points (q, c).
     """
 
     organ: Organ
     channels: OrganChannels
     cells: Tensor
-    field: Callable[[Tensor], Tensor]
+    field: CapturedCall
+    correction: ResidualCorrection
     sampler: FieldSampler
-    answer: CapturedCall
 
 
 class PaperEstimate(Estimate):
@@ -96,7 +99,7 @@ class PaperEstimate(Estimate):
 
     def displacement_at(self, points: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """See `Estimate.displacement_at`; None where the network does not say how sure it is."""
-        sampler = FieldSampler(self._channels.grid, self._channels.organ_mask, points, self._field.device)
+        sampler = FieldSampler(self._channels.grid, self._channels.near_mask, points, self._field.device)
         return self._in_organ_frame(points, sampler(self._field).double().cpu().numpy())
 
     def _in_organ_frame(self, points: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray | None]:
@@ -141,45 +144,39 @@ class PaperEstimator(Estimator):
     def take_over(self, organ: Organ, computed: OrganChannels, progress: Progress = silent) -> None:
         """See `Estimator.take_over`."""
         spec, device = self._spec, self._device
-        sampler = FieldSampler(computed.grid, computed.organ_mask, organ.query_points, device)
+        sampler = FieldSampler(computed.grid, computed.near_mask, organ.query_points, device)
+        correction = ResidualCorrection(computed.grid, organ.surface, organ.attached, device)
         channels = computed.to(device)
         with self._threads():
             shape = (1, len(spec.channels), *channels.grid.shape)
             runtime = NetworkRuntime(self._network, shape, device, self._dtype, progress)
-            inside = channels.organ_mask.unsqueeze(-1)
 
-            def field(known: Tensor) -> Tensor:
-                outputs = from_batch(runtime(assemble_input(channels, known, spec)))
-                return field_of(outputs, spec) * inside
-
-            def answer(known: Tensor) -> tuple[Tensor, ...]:
-                found = field(known)
-                return found, sampler(found)
+            def field(known: Tensor) -> tuple[Tensor, ...]:
+                return (field_of(from_batch(runtime(assemble_input(channels, known, spec))), spec),)
 
             with torch.inference_mode():
                 nothing_observed = torch.zeros((*channels.grid.shape, 4), device=device)
-                call = CapturedCall(answer, nothing_observed, progress)
-        self._prepared = _Prepared(organ, channels, channels.cells(), field, sampler, call)
+                call = CapturedCall(field, nothing_observed, progress)
+        self._prepared = _Prepared(organ, channels, channels.cells(), call, correction, sampler)
 
     def estimate(self, observation: Observation) -> Estimate:
-        """Rasterise the visible displacement, run the network, read its field at the organ's query points."""
+        """Rasterise the visible displacement, run the network, correct its field, read it at the query points."""
         prepared = self._prepared
         if prepared is None:
             raise InvalidInputError("no organ is loaded: expected load_organ before the first observation")
         with torch.inference_mode(), self._threads():
             clock = StageClock(self._device)
-            motion = motion_of(prepared.organ, observation, self._spec)
+            patches = average_patches(observation, prepared.organ.surface_lookup)
+            motion = motion_of(patches, self._spec)
             if motion is not None:
                 clock.lap("rigid")
             known = known_of(observation, prepared.channels, prepared.cells, motion)
             clock.lap("rasterise")
-            if prepared.answer.captured:
-                field, values = prepared.answer(known)
-                clock.lap("network")
-            else:
-                field = prepared.field(known)
-                clock.lap("network")
-                values = prepared.sampler(field)
+            (field,) = prepared.field(known)
+            clock.lap("network")
+            field = prepared.correction(field, patches, motion)
+            clock.lap("residual")
+            values = prepared.sampler(field)
             (values,) = to_host(values)
             clock.lap("warp")
         return PaperEstimate(

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn import functional
 
 from softtissue_estimator.estimators.paper.grid import VoxelGrid
 from softtissue_estimator.estimators.paper.network_spec import LOG_SIGMA_RANGE, OBSERVED, NetworkSpec
@@ -18,7 +19,7 @@ from softtissue_estimator.estimators.paper.rasterise import rasterise
 from softtissue_estimator.estimators.paper.rigid_frame import RIGID, fit_frame, into_frame, into_frames
 from softtissue_estimator.inference.device import to_device
 from softtissue_estimator.observation.observation import Observation
-from softtissue_estimator.observation.patch_average import average_patches
+from softtissue_estimator.observation.patch_average import ObservedPatches, average_patches
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import SurfaceMesh, sample_faces
 from softtissue_estimator.organ.organ import Organ
@@ -52,6 +53,12 @@ class OrganChannels:
     def organ_mask(self) -> Tensor:
         """(X, Y, Z) bool, true inside the organ."""
         return self.signed_distance <= 0.0
+
+    @property
+    def near_mask(self) -> Tensor:
+        """(X, Y, Z) bool, true inside the organ and in the cells next to that, between which its surface lies."""
+        inside = self.organ_mask[None, None].float()
+        return functional.max_pool3d(inside, kernel_size=3, stride=1, padding=1)[0, 0] > 0.0
 
     def cells(self) -> Tensor:
         """Return where the cells are, (X, Y, Z, 3) float32 metres, on the device of the channels."""
@@ -196,11 +203,9 @@ def known_displacement(
     return torch.cat([visible, observed.unsqueeze(-1).to(visible.dtype)], dim=-1)
 
 
-def motion_of(organ: Organ, observation: Observation, spec: NetworkSpec) -> RigidMotion | None:
-    """Return the rigid motion in whose frame a network is told an observation; None where that is the organ's."""
-    if spec.frame != RIGID:
-        return None
-    return fit_frame(average_patches(observation, organ.surface_lookup))
+def motion_of(patches: ObservedPatches, spec: NetworkSpec) -> RigidMotion | None:
+    """Return the rigid motion in whose frame a network is told what is observed; None where that is the organ's."""
+    return fit_frame(patches) if spec.frame == RIGID else None
 
 
 def known_of(
@@ -235,7 +240,8 @@ def known_of(
 
 def input_of(organ: Organ, channels: OrganChannels, observation: Observation, spec: NetworkSpec) -> Tensor:
     """Return what a network reads of an observation, (1, c, X, Y, Z) float32, on the device of the channels."""
-    known = known_of(observation, channels, channels.cells(), motion_of(organ, observation, spec))
+    motion = motion_of(average_patches(observation, organ.surface_lookup), spec)
+    known = known_of(observation, channels, channels.cells(), motion)
     return assemble_input(channels, known, spec)
 
 

@@ -8,6 +8,7 @@ import torch
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from softtissue_estimator.estimators.paper.displacement_field import FieldSampler
 from softtissue_estimator.estimators.paper.network_input import (
     OrganChannels,
     assemble_input,
@@ -26,6 +27,7 @@ from softtissue_estimator.estimators.paper.network_input import (
 from softtissue_estimator.estimators.paper.network_spec import CHANNELS, OBSERVED, NetworkSpec, rigid_spec
 from softtissue_estimator.estimators.paper.rigid_frame import RIGID
 from softtissue_estimator.observation.observation import Observation
+from softtissue_estimator.observation.patch_average import average_patches
 from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import SurfaceMesh
 from softtissue_estimator.organ.organ import Organ
@@ -198,8 +200,9 @@ def test_input_of_an_observation_is_that_of_its_parts() -> None:
     channels, observation = _observed_ellipsoid()
     surface = _ellipsoid()
     organ = Organ("ellipsoid", "organ", surface, (), surface.vertices[:, 0] < 0.005, None, "ellipsoid")
-    motion = motion_of(organ, observation, RIGID_SPEC)
-    assert motion is not None and motion_of(organ, observation, SPEC) is None
+    patches = average_patches(observation, organ.surface_lookup)
+    motion = motion_of(patches, RIGID_SPEC)
+    assert motion is not None and motion_of(patches, SPEC) is None
     np.testing.assert_allclose(motion.rotation, MOTION.rotation, atol=1e-3)
     known = known_of(observation, channels, channels.cells(), motion)
     assert torch.equal(
@@ -220,3 +223,17 @@ def test_field_is_displacement_and_deviation_in_metres() -> None:
     assert torch.equal(field_of(outputs, dataclasses.replace(spec, sigma_scale=0.0)), field[:, :3])
     plain = field_of(outputs[:, :3], SPEC)
     torch.testing.assert_close(plain, outputs[:, :3] * SPEC.output_scale)
+
+
+def test_a_linear_field_is_read_rightly_at_the_surface() -> None:
+    surface = _ellipsoid()
+    channels = organ_channels(surface, surface.vertices[:, 0] < -0.05, SPEC)
+    field = channels.cells() @ torch.tensor([[0.1, 0.0, 0.2], [0.0, -0.1, 0.0], [0.3, 0.0, 0.1]])
+    expected = surface.vertices @ np.array([[0.1, 0.0, 0.2], [0.0, -0.1, 0.0], [0.3, 0.0, 0.1]])
+    found, cut = (
+        FieldSampler(channels.grid, mask, surface.vertices)(field).numpy()
+        for mask in (channels.near_mask, channels.organ_mask)
+    )
+    np.testing.assert_allclose(found, expected, rtol=0, atol=5e-6)
+    # From the cells inside alone it is off by the gradient times a part of a cell.
+    assert np.abs(cut - expected).max() > 0.05 * SPEC.spacing
