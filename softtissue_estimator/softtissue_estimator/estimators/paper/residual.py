@@ -61,7 +61,7 @@ class ResidualCorrection:
             for size in grid.shape
         ]
 
-    def __call__(self, field: Tensor, patches: ObservedPatches, motion: RigidMotion | None) -> Tensor:
+    def __call__(self, field: Tensor, patches: ObservedPatches, motion: RigidMotion) -> Tensor:
         """Add the error that the residual makes likely.
 
         Parameters
@@ -72,7 +72,7 @@ class ResidualCorrection:
         patches
             What is observed.
         motion
-            The rigid motion in whose frame the field is; None for the organ's frame.
+            The rigid motion in whose frame the field is.
 
         Returns
         -------
@@ -99,13 +99,12 @@ class ResidualCorrection:
         return torch.cat([field[..., :3] + found, field[..., 3:]], dim=-1)
 
     def _known(
-        self, field: Tensor, patches: ObservedPatches, motion: RigidMotion | None
+        self, field: Tensor, patches: ObservedPatches, motion: RigidMotion
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Return places (n, 3) m, residuals (n, 3) m and their variances (n,) m^2, float64, one a cube."""
         place = np.concatenate([patches.reference, self._attached])
-        known = np.concatenate([patches.displacement, np.zeros_like(self._attached)])
-        if motion is not None:
-            known = into_frame(motion, place, known)
+        moved = np.concatenate([patches.displacement, np.zeros_like(self._attached)])
+        known = into_frame(motion, place, moved)
         seen, cube = len(patches.reference), _cubes(patches.reference)
         count = int(cube.max()) + 1
         precision = np.concatenate(

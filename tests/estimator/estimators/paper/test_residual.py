@@ -13,6 +13,7 @@ from softtissue_estimator.observation.rigid import RigidMotion
 from softtissue_estimator.organ.mesh import SurfaceMesh
 
 GRID = VoxelGrid((-0.095, -0.075, -0.055), 0.01, (20, 16, 12))
+AT_REST = RigidMotion(np.eye(3), np.zeros(3))
 PRECISION = 1e6  # of patches, 1/m^2
 CELLS = GRID.points()
 
@@ -57,7 +58,7 @@ def test_it_is_kriging_of_the_residual_at_separate_places(surface, nothing):
     residual = 0.002 * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [0.6, 0.0, 0.8]])
     answer = 0.004
     found = ResidualCorrection(GRID, surface, nothing)(
-        _field(answer), _observed(place, residual + answer), None
+        _field(answer), _observed(place, residual + answer), AT_REST
     )
 
     def covariance(first, second):
@@ -76,8 +77,8 @@ def test_it_is_kriging_of_the_residual_at_separate_places(surface, nothing):
 def test_the_residual_shrinks_where_it_is_seen_and_nearby(surface, nothing):
     seen = _seen(surface)
     correct = ResidualCorrection(GRID, surface, nothing)
-    found = correct(_field(), _observed(seen, _error(seen)), None)
-    again = correct(found, _observed(seen, _error(seen)), None)
+    found = correct(_field(), _observed(seen, _error(seen)), AT_REST)
+    again = correct(found, _observed(seen, _error(seen)), AT_REST)
     before = np.linalg.norm(_error(seen), axis=1).mean()
     assert float((again - found).abs().mean()) < 0.15 * float(found.abs().mean())
     for points, left in ((0.95 * seen, 0.3), (surface.vertices[np.abs(surface.vertices[:, 2]) < 0.005], 0.6)):
@@ -90,7 +91,7 @@ def test_the_residual_shrinks_where_it_is_seen_and_nearby(surface, nothing):
 def test_far_from_everything_known_nothing_changes(surface, nothing):
     place = np.array([[-0.09, 0.0, 0.0], [-0.08, 0.02, 0.01]])
     found = ResidualCorrection(GRID, surface, nothing)(
-        _field(), _observed(place, np.full((2, 3), 0.003)), None
+        _field(), _observed(place, np.full((2, 3), 0.003)), AT_REST
     )
     assert np.abs(_at(found, place)).min() > 5e-4
     far = CELLS[CELLS[:, 0] > 0.06]
@@ -101,7 +102,7 @@ def test_only_the_displacement_changes(surface, nothing):
     seen = _seen(surface)
     field = _field(components=4)
     field[..., 3] = 0.007
-    found = ResidualCorrection(GRID, surface, nothing)(field, _observed(seen, _error(seen)), None)
+    found = ResidualCorrection(GRID, surface, nothing)(field, _observed(seen, _error(seen)), AT_REST)
     assert found.shape == field.shape
     assert (found[..., 3] == field[..., 3]).all() and found[..., :3].abs().max() > 1e-3
     assert field[..., :3].abs().max() == 0.0
@@ -127,8 +128,8 @@ def test_one_gross_outlier_hardly_counts(surface, nothing):
     correct = ResidualCorrection(GRID, surface, nothing)
     wrong = _error(seen)
     wrong[40] += 0.05
-    right = correct(_field(), _observed(seen, _error(seen)), None)
-    apart = (correct(_field(), _observed(seen, wrong), None) - right).abs().max()
+    right = correct(_field(), _observed(seen, _error(seen)), AT_REST)
+    apart = (correct(_field(), _observed(seen, wrong), AT_REST) - right).abs().max()
     assert 0.0 < float(apart) < 0.001
 
 
@@ -137,7 +138,9 @@ def test_where_the_grid_lies_does_not_matter(surface, nothing):
     seen = _seen(surface)
     there = VoxelGrid(tuple(np.array(GRID.origin) + shift), GRID.spacing, GRID.shape)
     moved = SurfaceMesh(surface.vertices + shift, surface.faces)
-    first = ResidualCorrection(GRID, surface, nothing)(_field(), _observed(seen, _error(seen)), None)
-    second = ResidualCorrection(there, moved, nothing)(_field(), _observed(seen + shift, _error(seen)), None)
+    first = ResidualCorrection(GRID, surface, nothing)(_field(), _observed(seen, _error(seen)), AT_REST)
+    second = ResidualCorrection(there, moved, nothing)(
+        _field(), _observed(seen + shift, _error(seen)), AT_REST
+    )
     # Cubes begin elsewhere.
     assert float((first - second).abs().max()) < 3e-4
