@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from softtissue_estimator.observation.bare_cloud import BareCloud
@@ -46,16 +45,17 @@ class SeenSurface:
     piece: IntArray
 
     @cached_property
-    def _around(self) -> csr_array:
-        """One for every two pieces that are neighbours, (c, c)."""
+    def _neighbours(self) -> tuple[IntArray, IntArray]:
+        """Every two pieces that are neighbours, (p,) each, once."""
         first, second = cKDTree(self.position).query_pairs(_REACH_M, output_type="ndarray").T
-        count = len(self.position)
-        half = csr_array((np.ones(len(first)), (first, second)), shape=(count, count))
-        return csr_array(half + half.T)
+        return first, second
 
     def among(self, chosen: BoolArray) -> BoolArray:
         """Tell of which pieces (c,) at least half of the neighbours are among those chosen, (c,), if it has any."""
-        return np.asarray(self._around @ (2.0 * chosen - 1.0) >= 0.0)
+        vote, count = 2.0 * chosen - 1.0, len(chosen)
+        first, second = self._neighbours
+        votes = sum_by_index(first, vote[second], count) + sum_by_index(second, vote[first], count)
+        return np.asarray(votes >= 0.0)
 
 
 def seen_surface(cloud: BareCloud) -> SeenSurface:
