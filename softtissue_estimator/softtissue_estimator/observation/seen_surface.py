@@ -52,7 +52,8 @@ class SeenSurface:
 
     def among(self, chosen: BoolArray) -> BoolArray:
         """Tell of which pieces (c,) at least half of the neighbours are among those chosen, (c,), if it has any."""
-        vote, count = 2.0 * chosen - 1.0, len(chosen)
+        vote: FloatArray = np.where(chosen, 1.0, -1.0)
+        count = len(chosen)
         first, second = self._neighbours
         votes = sum_by_index(first, vote[second], count) + sum_by_index(second, vote[first], count)
         return np.asarray(votes >= 0.0)
