@@ -125,8 +125,7 @@ def _weighted_means(
 ) -> tuple[FloatArray, FloatArray]:
     """Sum of the weights and weighted mean of the values (n, 3) of every group, (count,) and (count, 3)."""
     total = sum_by_index(group, weight, count)
-    sums = [sum_by_index(group, weight * column, count) for column in values.T]
-    return total, np.stack(sums, axis=1) / np.maximum(total, 1e-300)[:, None]
+    return total, sum_by_index(group, weight[:, None] * values, count) / np.maximum(total, 1e-300)[:, None]
 
 
 def _deviation(values: FloatArray, mean: FloatArray, group: IntArray, weight: FloatArray) -> FloatArray:

@@ -18,6 +18,8 @@ def cells(points: FloatArray, side_m: float) -> tuple[IntArray, int]:
     Cubes are numbered in the order of their corners' coordinates. What is kilometres away shares the last ones.
     """
     flat, total = np.zeros(len(points), dtype=np.int64), 1
+    if not len(points):
+        return flat, 0
     for axis in points.T:
         cell = np.floor(axis / side_m).clip(-_FARTHEST_CELLS, _FARTHEST_CELLS).astype(np.int64)
         cell -= cell.min()

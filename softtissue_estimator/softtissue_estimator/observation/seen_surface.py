@@ -67,8 +67,7 @@ def seen_surface(cloud: BareCloud) -> SeenSurface:
     member, count = cells(cloud.points, CELL_M)
     weight = 1.0 / np.square(np.maximum(cloud.sigma, _LEAST_SIGMA_M))
     total = sum_by_index(member, weight, count)
-    sums = [sum_by_index(member, weight * cloud.points[:, axis], count) for axis in range(3)]
-    position = np.column_stack(sums) / total[:, None]
+    position = sum_by_index(member, weight[:, None] * cloud.points, count) / total[:, None]
     if cloud.normals is None:
         normal, whole = _planes(position, position)
     else:

@@ -71,9 +71,11 @@ def vertex_areas(mesh: SurfaceMesh) -> FloatArray:
     return sum_by_index(mesh.faces.ravel(), share, len(mesh.vertices))
 
 
-def sum_by_index(index: IntArray, weights: FloatArray, size: int) -> FloatArray:
-    """Sum of the weights that share an index, (size,); index and weights are (n,)."""
-    return np.bincount(index, weights=weights, minlength=size).astype(np.float64, copy=False)
+def sum_by_index(index: IntArray, values: FloatArray, size: int) -> FloatArray:
+    """Sum of the values, (n,) or (n, d), that share an index, (n,): (size,) or (size, d)."""
+    if values.ndim == 2:
+        return np.stack([sum_by_index(index, column, size) for column in values.T], axis=1)
+    return np.bincount(index, weights=values, minlength=size).astype(np.float64, copy=False)
 
 
 def unit_rows(vectors: FloatArray) -> FloatArray:

@@ -136,5 +136,5 @@ def _samples_by_cell(
     flat = (index[:, 0] * shape[1] + index[:, 1]) * shape[2] + index[:, 2]
     cell, member = np.unique(flat, return_inverse=True)
     count = np.bincount(member)
-    position = np.column_stack([sum_by_index(member, points[:, d], len(cell)) / count for d in range(3)])
+    position = sum_by_index(member, points, len(cell)) / count[:, None]
     return cell, position, sum_by_index(member, share, len(cell))

@@ -137,7 +137,7 @@ def average_by_patch(observation: Observation, lookup: SurfaceLookup) -> tuple[F
     count = len(lookup.patch_areas)
     number = np.bincount(patch, minlength=count)
     values = np.concatenate([observation.reference, observation.displacement], axis=1)
-    sums = np.column_stack([sum_by_index(patch, column, count) for column in values.T])
+    sums = sum_by_index(patch, values, count)
     means = sums[number > 0] / number[number > 0][:, None]
     return means[:, :3], means[:, 3:]
 

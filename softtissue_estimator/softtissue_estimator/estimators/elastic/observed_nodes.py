@@ -62,9 +62,8 @@ class ObservedPlaces:
 
     def collected(self, placed: FloatArray) -> FloatArray:
         """Sum what is known at the places, (c, d), up at `nodes`, (s, d)."""
-        of, count = self._of.ravel(), len(self.nodes)
-        columns = [sum_by_index(of, (self._weights * one[:, None]).ravel(), count) for one in placed.T]
-        return np.stack(columns, axis=1)
+        shares = self._weights[:, :, None] * placed[:, None]
+        return sum_by_index(self._of.ravel(), shares.reshape(-1, placed.shape[1]), len(self.nodes))
 
     @cached_property
     def _products(self) -> tuple[IntArray, FloatArray]:

@@ -16,16 +16,15 @@ from softtissue_estimator.estimators.paper.grid import VoxelGrid
 from softtissue_estimator.estimators.paper.rigid_frame import into_frame
 from softtissue_estimator.inference.device import to_device
 from softtissue_estimator.observation.patch_average import STUDENT_FREEDOM, ObservedPatches
+from softtissue_estimator.observation.plane_normals import cells
 from softtissue_estimator.observation.rigid import RigidMotion
-from softtissue_estimator.organ.mesh import BoolArray, FloatArray, IntArray, SurfaceMesh, sum_by_index
+from softtissue_estimator.organ.mesh import BoolArray, SurfaceMesh, sum_by_index
 
 # Chosen on simulated organs of seeds that neither training nor the benchmark uses.
 _ERROR_M = 0.002  # standard deviation of each component of the answer's error
 _REACH_M = 0.030  # distance at which two errors' correlation has fallen to exp(-1/2)
 _CUBE_M = 0.015  # what is known within such cubes is averaged: errors hardly differ there
-_PATCH_SIGMA_M = (
-    0.001  # error of a patch's residual beside noise: its points and the cells' values are averages
-)
+_PATCH_SIGMA_M = 0.001  # of a patch's residual beside noise: its points and the cells' values are averages
 _CUBE_SIGMA_M = 0.0002  # part of a cube's residual that says nothing of other places
 _ATTACHED_SIGMA_M = 0.004  # of a cube of attached tissue, the extent of which is a guess
 
@@ -50,11 +49,9 @@ class ResidualCorrection:
     ) -> None:
         self._grid, self._device = grid, torch.device(device)
         vertices = surface.vertices[attached]
-        cube = _cubes(vertices)
-        count = int(cube.max()) + 1 if len(cube) else 0
+        cube, count = cells(vertices, _CUBE_M)
         # Attached tissue is always known: it is averaged once.
-        self._attached = np.column_stack([sum_by_index(cube, column, count) for column in vertices.T])
-        self._attached /= np.bincount(cube, minlength=count)[:, None]
+        self._attached = sum_by_index(cube, vertices, count) / np.bincount(cube, minlength=count)[:, None]
         self._middle = torch.tensor(grid.points().mean(axis=0), device=device)
         self._axes = [
             (torch.arange(size, device=device, dtype=torch.float32) - 0.5 * (size - 1)) * grid.spacing
@@ -91,7 +88,7 @@ class ResidualCorrection:
         weight = _ERROR_M**2 * torch.cholesky_solve(residual, factor)
         # The Gaussian is a product over the axes, and so are its values on a grid.
         x, y, z = (
-            _correlation((cells[:, None] - local[:, axis]).square()) for axis, cells in enumerate(self._axes)
+            _correlation((along[:, None] - local[:, axis]).square()) for axis, along in enumerate(self._axes)
         )
         columns = (x[:, None] * y).flatten(0, 1)
         weighted = (z.T[:, :, None] * weight.float()[:, None]).flatten(1)
@@ -105,8 +102,8 @@ class ResidualCorrection:
         place = np.concatenate([patches.reference, self._attached])
         moved = np.concatenate([patches.displacement, np.zeros_like(self._attached)])
         known = into_frame(motion, place, moved)
-        seen, cube = len(patches.reference), _cubes(patches.reference)
-        count = int(cube.max()) + 1
+        seen = len(patches.reference)
+        cube, count = cells(patches.reference, _CUBE_M)
         precision = np.concatenate(
             [patches.precision_with(_PATCH_SIGMA_M), np.full(len(self._attached), _ATTACHED_SIGMA_M**-2)]
         )
@@ -121,14 +118,6 @@ class ResidualCorrection:
         total = values.new_zeros((count + len(self._attached), 7)).index_add_(0, owner, values)
         mean = total[:, :6] / total[:, 6:]
         return mean[:, :3], mean[:, 3:], 1.0 / total[:, 6] + _CUBE_SIGMA_M**2
-
-
-def _cubes(points: FloatArray) -> IntArray:
-    """Return the number of the cube that each of the points (n, 3) m lies in, (n,), counted from 0."""
-    cell = np.floor(points / _CUBE_M).astype(np.int64)
-    cell -= cell.min(axis=0, initial=0)
-    size = cell.max(axis=0, initial=0) + 1
-    return np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], return_inverse=True)[1]
 
 
 def _correlation(squared_distance: Tensor) -> Tensor:
