@@ -84,11 +84,24 @@ def test_demo_reports_frames_latency_and_error(tmp_path, environment):
     assert processes_of(str(out)) == []
 
 
-def test_demo_without_a_bag_says_so(tmp_path, environment):
-    command = [*DEMO, "--bag", str(tmp_path / "nothing"), "--out", str(tmp_path / "out")]
-    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--bag", "nothing"], "expected a bag folder"),
+        (["--estimator", "elastik"], "parameter estimator: expected one of elastic, paper, got 'elastik'"),
+    ],
+)
+def test_demo_that_cannot_play_says_so_and_keeps_earlier_results(arguments, words, tmp_path, environment):
+    earlier = tmp_path / "out" / "report.json"
+    earlier.parent.mkdir()
+    earlier.write_text("{}")
+    command = [*DEMO, *arguments, "--out", str(earlier.parent)]
+    result = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
     assert result.returncode == 1
-    assert "expected a bag folder" in result.stderr and "Traceback" not in result.stderr
+    assert words in result.stderr and len(result.stderr.splitlines()) == 1
+    assert earlier.read_text() == "{}"
 
 
 def test_demo_with_a_page_at_a_taken_port_says_so_and_plays_nothing(tmp_path, environment):

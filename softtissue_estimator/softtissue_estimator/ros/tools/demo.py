@@ -13,6 +13,7 @@ from typing import Any
 
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError, MissingDependencyError, SoftTissueError
+from softtissue_estimator.estimators.estimator import check_estimator
 from softtissue_estimator.organ.organ_file import read_organ_file
 from softtissue_estimator.ros.tools.demo_picture import draw, read_recording
 from softtissue_estimator.ros.tools.demo_runs import DRAWN, SCENE, UNREGISTERED, Run
@@ -184,14 +185,17 @@ def _checked(report: dict[str, Any], replayed: dict[str, Any]) -> dict[str, Any]
 
 def run(options: Options) -> int:
     """Play every recording, write report and picture; return the exit code."""
-    shutil.rmtree(options.out, ignore_errors=True)
-    options.out.mkdir(parents=True)
+    for name in options.estimators:
+        check_estimator(name)
     default, recording, runs = options.estimators[0], None, []
     if "pairs" in options.inputs:
         recording = read_recording(options.bag, read_organ_file(options.organ).frame)
         peak_ns = recording.peak_ns
         runs += [Run("pairs", name, options.bag, snapshot_ns=peak_ns) for name in options.estimators]
     scene = _scene_images(options)
+    # Only now: what cannot be played takes no earlier results away.
+    shutil.rmtree(options.out, ignore_errors=True)
+    options.out.mkdir(parents=True)
     names = [name for name in options.inputs if name in SCENE]
     drawn = DRAWN if DRAWN in names else "".join(names[:1])
     for name in names:
