@@ -42,6 +42,12 @@ class PlayedNode:
             [(0.0, 0.0, 0.0)], [RADIUS], kinds=["tumour"], surface=((0.0, 0.0, 0.0), ORGAN_RADIUS)
         )
 
+    def heard(self):
+        """Tell whether the program under test subscribes to all that is published."""
+        publishers = (self.points, self.surface, self.poses, self.distances, self.clouds)
+        publishers += (self.statuses, self.structures)
+        return all(publisher.get_subscription_count() for publisher in publishers)
+
     def close(self):
         for one in (self.points, self.surface, self.poses, self.distances, self.clouds):
             self.node.destroy_publisher(one)

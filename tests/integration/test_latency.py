@@ -196,8 +196,8 @@ def test_small_benchmark_through_real_processes(tmp_path, monkeypatch, capfd, en
         assert times["calls"] >= 2 and 0.0 < times["p50_ms"] <= times["max_ms"]
     overlay = drawn["overlay"]
     assert [row[one] for row in (plain, markers, services) for one in ("overlay", "viewer")] == [None] * 6
-    # What is drawn needs the answers: without them there is a banner, which takes as long as the rest here.
-    assert overlay["sent"] >= 8 and 0.8 * overlay["sent"] <= overlay["shown"] <= overlay["sent"]
+    # The newest image wins: how many are passed over depends on what else the cores do.
+    assert overlay["sent"] >= 8 and 2 <= overlay["shown"] <= overlay["sent"]
     assert 0.0 < overlay["p50_ms"] <= overlay["max_ms"] and overlay["cpu_share"] > 0.0
     assert drawn["viewer"]["cpu_share"] > 0.0 and drawn["viewer"]["rss_mb"] > 100.0
     assert drawn["p95_over_alone"] == pytest.approx(drawn["p95_ms"] / plain["p95_ms"], abs=0.01)

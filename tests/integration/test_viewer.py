@@ -127,8 +127,10 @@ def theatre(tmp_path_factory, browser):
         theatre.page = browser.new_page(viewport={"width": 1000, "height": 640}, accept_downloads=True)
         theatre.requests = []
         theatre.page.on("request", lambda request: theatre.requests.append(request.url))
-        theatre.played.describe()
         theatre.page.goto(theatre.address)
+        # Any of the tests may be the first of its process.
+        theatre.until(theatre.played.heard, "viewer's subscriptions")
+        theatre.played.describe()
         # They have nearly the colour of the tumour.
         theatre.page.get_by_label("observed points").uncheck(timeout=20_000, force=True)
         yield theatre
