@@ -74,6 +74,8 @@ class Amplitudes:
         Lower Cholesky factor L of I + D G D, D the prior's standard deviations: the covariance is D (L L^T)^-1 D.
     gram : (r, r) float64
         G.
+    right : (r,) float64
+        J^T S^-1 y, which the mean was found from.
     surprise : float
         y^T (S + J V J^T)^-1 y, V the variances before any was re-estimated: about as large as y is long where these
         were right. NaN where nobody asked.
@@ -84,6 +86,7 @@ class Amplitudes:
     field_values: FieldValues
     factor: Tensor
     gram: Tensor
+    right: Tensor
     surprise: float = math.nan
 
     def with_least_variances(self, least: Tensor) -> "Amplitudes":
@@ -96,14 +99,14 @@ class Amplitudes:
         """
         prior = self.prior.at_least_each(least)
         factor, _ = posterior_factor(self.gram, torch.zeros_like(self.mean), prior, self.field_values)
-        return Amplitudes(self.mean, prior, self.field_values, factor, self.gram)
+        return Amplitudes(self.mean, prior, self.field_values, factor, self.gram, self.right)
 
     def with_loads(self, kept: Tensor) -> "Amplitudes":
         """Return the posterior that some of the loads alone, (l,) their numbers, would have with the same variances."""
         used = parameters_of(kept, self._begin, len(self.variances), len(self.mean))
         gram, prior = self.gram[used[:, None], used], self.prior.part(kept)
         factor, _ = posterior_factor(gram, torch.zeros_like(gram[0]), prior, self.field_values)
-        return Amplitudes(self.mean[used], prior, self.field_values, factor, gram)
+        return Amplitudes(self.mean[used], prior, self.field_values, factor, gram, self.right[used])
 
     @property
     def variances(self) -> Tensor:
@@ -148,17 +151,15 @@ class Amplitudes:
         """D: prior standard deviation of every amplitude of a load, (3 p,)."""
         return self.variances.sqrt().repeat_interleave(3)
 
-    def log_evidence(self, right: Tensor, power: float) -> float:
+    def log_evidence(self, power: float) -> float:
         """Log-probability of the observation, with these variances and without the part that the noise alone makes.
 
         Parameters
         ----------
-        right : (r,) float64
-            J^T S^-1 y.
         power : float
             y^T S^-1 y.
         """
-        explained = float(right @ self.mean)
+        explained = float(self.right @ self.mean)
         return 0.5 * (explained - power) - float(self.factor.diagonal().log().sum())
 
 

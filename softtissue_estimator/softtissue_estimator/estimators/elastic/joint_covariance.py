@@ -48,8 +48,12 @@ def _of_loads(
     np.add.at(dense, (np.repeat(np.arange(len(positions)), np.diff(weights.indptr)), column), weights.data)
     by_node = tangent.response.view(len(tangent.state), 3, -1)
     chosen = by_node.index_select(0, torch.from_numpy(nodes.astype(np.int64)).to(device)).double()
-    loads = torch.einsum("kn,nap->kap", torch.from_numpy(dense).to(device), chosen) * amplitudes.root
+    response = torch.einsum("kn,nap->kap", torch.from_numpy(dense).to(device), chosen)
     error = posterior.registration.columns(torch.from_numpy(positions).to(device))
+    if posterior.load_sets is not None:
+        sets, moved = posterior.load_sets, response.cpu().numpy()
+        return sets.covariance(moved, error.cpu().numpy()), sets.covariance(moved)
+    loads = response * amplitudes.root
     half = torch.linalg.solve_triangular(
         amplitudes.loads_factor,
         torch.cat(

@@ -107,7 +107,7 @@ def condition(
     power = observed.power + float((offset * (shifted - 2.0 * observed.right)).sum())
     limits = LEAST_FIELD_SIGMA_M**2, errors.most_fields
     amplitudes = determine_relevance(gram, right, variances, errors.field_values, updates, *limits, power)
-    return amplitudes, amplitudes.log_evidence(right, power)
+    return amplitudes, amplitudes.log_evidence(power)
 
 
 def _normal_equations(

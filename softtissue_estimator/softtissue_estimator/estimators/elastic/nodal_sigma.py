@@ -4,7 +4,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from softtissue_estimator.estimators.elastic.hyperelastic import to_tensor
 from softtissue_estimator.estimators.elastic.linear_gaussian import standard_deviation
+from softtissue_estimator.estimators.elastic.load_sets import LoadSets
 from softtissue_estimator.estimators.elastic.loads_prior import LoadsPrior
 from softtissue_estimator.estimators.elastic.own_motion import OwnMotion
 from softtissue_estimator.estimators.elastic.posterior import Posterior, WarmStart
@@ -30,7 +32,9 @@ def nodal_sigma(posterior: Posterior, nodes: Tensor, moved: Tensor, prior: Loads
         Displacement of the nodes without bending, as the registration was told.
     prior : LoadsPrior
     """
-    if posterior.hidden_variance is None:
+    if posterior.load_sets is not None:
+        linear = _variance_of_sets(posterior.load_sets, posterior)
+    elif posterior.hidden_variance is None:
         linear = _doubting_variance(posterior, nodes, prior)
     else:
         found = standard_deviation(posterior.tangent, posterior.amplitudes, posterior.moving(nodes))
@@ -51,6 +55,14 @@ def _unbent(posterior: Posterior, told: Tensor) -> Tensor:
         return told
     correction = posterior.registration_after.correction
     return told @ told.new_tensor(correction.rotation).T + told.new_tensor(correction.translation)
+
+
+def _variance_of_sets(sets: LoadSets, posterior: Posterior) -> Tensor:
+    """Return the nodes' variance by sets of loads that may act, (n,) m^2."""
+    state = posterior.tangent.state
+    response = posterior.tangent.response.double().view(len(state), 3, -1).cpu().numpy()
+    covariance = sets.covariance(response)
+    return to_tensor(np.trace(covariance, axis1=1, axis2=2) / 3.0, state.device)
 
 
 def hidden_variance(posterior: Posterior, start: WarmStart, nodes: Tensor, prior: LoadsPrior) -> Tensor:

@@ -235,7 +235,7 @@ class ObservedSurface:
         most = whole if most_fields is None else whole.minimum(most_fields)
         power, limits = float(w @ y.square()), (LEAST_FIELD_SIGMA_M**2, most)
         amplitudes = determine_relevance(gram, right, variances, (fields,), updates, *limits, power)
-        evidence = amplitudes.log_evidence(right, power) + 0.5 * float(w.log().sum())
+        evidence = amplitudes.log_evidence(power) + 0.5 * float(w.log().sum())
         evidence += log_prior(amplitudes.prior.fields, whole)
         mean = mean_displacement(tangent, amplitudes)
         return Conditioned(amplitudes, mean, self._left(registration, mean, amplitudes), evidence)

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from softtissue_estimator.estimators.elastic.amplitudes import Amplitudes, Variances
+from softtissue_estimator.estimators.elastic.load_sets import LoadSets
 from softtissue_estimator.estimators.elastic.observed import Observed
 from softtissue_estimator.estimators.elastic.own_motion import OwnMotion
 from softtissue_estimator.estimators.elastic.registration_error import RegistrationError
@@ -54,6 +55,8 @@ class Posterior:
         Whether what holds the organ may move.
     contested : bool
         Whether something else was found to be likelier, and not believed yet; like `rival_variance`.
+    load_sets : LoadSets or None
+        Which may explain the observation; None where the loads' likeliest variances count for the true ones.
     """
 
     tangent: Tangent
@@ -71,6 +74,7 @@ class Posterior:
     innovation: float = math.nan
     attachment_moves: bool = False
     contested: bool = False
+    load_sets: LoadSets | None = None
 
     def with_loads(self, kept: Tensor) -> "Posterior":
         """Return the same with some of the loads alone, (l,) their numbers."""
@@ -98,6 +102,8 @@ class Posterior:
     @cached_property
     def nuisance_covariance(self) -> FloatArray:
         """Of the nuisance parameters, (k, k)."""
+        if self.load_sets is not None:
+            return self.load_sets.nuisance_covariance
         begin = len(self.amplitudes.mean) - len(self.amplitudes.nuisance)
         inverse = np.linalg.inv(self.amplitudes.factor[begin:, begin:].cpu().numpy())
         return np.asarray(inverse.T @ inverse)

@@ -80,7 +80,7 @@ def determine_relevance(
         # An irrelevant load moves nothing, and takes as long as another one.
         kept = _loads_from(PRUNED_SHARE, variances)
     factor, mean = posterior_factor(gram, right, variances, field_values)
-    return Amplitudes(mean, variances, field_values, factor, gram, surprise)
+    return Amplitudes(mean, variances, field_values, factor, gram, right, surprise)
 
 
 def _loads_from(least_share: float, variances: Variances) -> Tensor:

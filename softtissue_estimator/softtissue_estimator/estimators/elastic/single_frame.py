@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from softtissue_estimator.estimators.elastic.load_sets import draw_load_sets
 from softtissue_estimator.estimators.elastic.posterior import Posterior, rival_variance
 from softtissue_estimator.estimators.elastic.registration_scale import (
     comparable,
@@ -27,7 +28,16 @@ def solve(solver: Solver) -> Posterior:
         before, posterior = posterior.ratio, _improve_by_choice(solver, posterior)
         if posterior.ratio == before:
             break
-    return posterior
+    # Pairs say which loads act, and the wide motion of an organ that is attached nowhere is all of its doubt.
+    return _weighed(solver, posterior) if solver.held and not solver.identified else posterior
+
+
+def _weighed(solver: Solver, posterior: Posterior) -> Posterior:
+    """Return a posterior with what is known where any set of loads may act, not only the relevant ones."""
+    equal = solver.prior.variances(posterior.tangent, posterior.observed.nodes)
+    acting = len(equal) if posterior.attachment_moves else solver.prior.pushing
+    farthest = posterior.tangent.largest_powers()
+    return replace(posterior, load_sets=draw_load_sets(posterior.amplitudes, equal, farthest, acting))
 
 
 def _likeliest(solver: Solver) -> tuple[Solver, Posterior]:

@@ -63,3 +63,8 @@ class Tangent:
         found = response.square_().sum(dim=0).view(-1, 3).sum(dim=1) / len(nodes)
         self._powers[:] = [(nodes, found)]
         return found
+
+    def largest_powers(self) -> Tensor:
+        """Return the mean square, as in `powers`, of what each load moves one node by, the farthest, (p,) m^2."""
+        by_node = self.response.view(len(self.state), 3, -1, 3)
+        return by_node.square().sum(dim=(1, 3)).max(dim=0).values

@@ -82,7 +82,7 @@ def test_factor_of_the_loads_leaves_their_doubt_and_that_of_the_nuisance():
 def test_evidence_compares_as_that_of_the_dense_model():
     starts = START, GIVEN, dataclasses.replace(START, fields=20.0 * START.fields)
     power = float(DATA @ DATA) / NOISE**2
-    found = [determined(0, start=start).log_evidence(right(DATA), power) for start in starts]
+    found = [determined(0, start=start).log_evidence(power) for start in starts]
     expected = [log_evidence(start, DATA) for start in starts]
     np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-8)
 
