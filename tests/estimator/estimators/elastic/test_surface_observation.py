@@ -10,6 +10,7 @@ import torch
 from estimator.shapes import ellipsoid, ellipsoid_tets, organ_of
 from softtissue_estimator.config import EstimatorConfig
 from softtissue_estimator.errors import InvalidInputError
+from softtissue_estimator.estimators.elastic import single_frame
 from softtissue_estimator.estimators.elastic.amplitudes import Variances
 from softtissue_estimator.estimators.elastic.estimator import ElasticEstimator
 from softtissue_estimator.estimators.elastic.linear_gaussian import equal_variances, mean_displacement
@@ -251,6 +252,29 @@ def test_a_bare_cloud_on_its_own_is_explained():
     moved, _ = answer.displacement_at(truth["inner"])
     error = np.linalg.norm(moved - truth["displacement"], axis=1).mean()
     assert error < 0.5 * np.linalg.norm(truth["displacement"], axis=1).mean()
+
+
+def test_a_bare_cloud_on_its_own_is_doubted_by_all_that_may_have_pushed(monkeypatch):
+    narrow = TOP[TOP[:, 0] > 0.03]
+    cloud = BareCloud(
+        narrow + bent(narrow, 1.0) + np.array([0.006, 0.0, 0.004]),
+        np.full(len(narrow), 0.0003),
+        CAMERA,
+        registration_covariance=np.diag([0.01**2] * 3 + [0.09**2] * 3),
+    )
+    inner = 0.7 * SURFACE.vertices[SURFACE.vertices[:, 0] > -0.02][::7]
+    estimator = ElasticEstimator(CONFIG)
+    estimator.load_organ(ORGAN)
+    answer = estimator.estimate_bare(cloud)
+    moved, sigma = answer.displacement_at(inner)
+    assert (np.linalg.eigvalsh(answer.covariance_at(inner)) > 0.0).all()
+    monkeypatch.setattr(single_frame, "_weighed", lambda _, posterior: posterior)
+    relevant = estimator.estimate_bare(cloud)
+    same, less = relevant.displacement_at(inner)
+    np.testing.assert_array_equal(same, moved)
+    assert sigma.mean() > 1.1 * less.mean()
+    wider, narrower = (one.diagnosis.registration.covariance for one in (answer, relevant))
+    assert np.trace(wider[:3, :3]) > np.trace(narrower[:3, :3])
 
 
 def pushed_case():
