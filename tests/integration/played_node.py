@@ -42,17 +42,19 @@ class PlayedNode:
             [(0.0, 0.0, 0.0)], [RADIUS], kinds=["tumour"], surface=((0.0, 0.0, 0.0), ORGAN_RADIUS)
         )
 
+    @property
+    def publishers(self):
+        """All of them."""
+        streams = (self.points, self.surface, self.poses, self.distances, self.clouds)
+        return *streams, self.statuses, self.structures
+
     def heard(self):
         """Tell whether the program under test subscribes to all that is published."""
-        publishers = (self.points, self.surface, self.poses, self.distances, self.clouds)
-        publishers += (self.statuses, self.structures)
-        return all(publisher.get_subscription_count() for publisher in publishers)
+        return all(publisher.get_subscription_count() for publisher in self.publishers)
 
     def close(self):
-        for one in (self.points, self.surface, self.poses, self.distances, self.clouds):
-            self.node.destroy_publisher(one)
-        for one in (self.statuses, self.structures):
-            self.node.destroy_publisher(one)
+        for publisher in self.publishers:
+            self.node.destroy_publisher(publisher)
         for service in self.services:
             self.node.destroy_service(service)
 

@@ -100,7 +100,7 @@ class LoadSets:
         begin, end = self.fields, self.fields + self.loads
         found = np.zeros((len(response), 3, 3))
         for each in self.drawn:
-            columns = (3 * each.loads[:, None] + np.arange(3)).reshape(-1)
+            columns = _components(each.loads)
             moved, away = response[:, :, columns], each.mean - self.answer
             shift, covariance = response @ away[begin:end], each.covariance[: len(columns), : len(columns)]
             if moving is not None:
@@ -108,6 +108,11 @@ class LoadSets:
                 shift = shift + moving @ away[end:]
             found += (moved @ covariance) @ moved.transpose(0, 2, 1) + shift[:, :, None] * shift[:, None]
         return found / len(self.drawn)
+
+
+def _components(loads: _IntArray) -> _IntArray:
+    """Numbers of the components of loads (l,), (3 l,)."""
+    return np.asarray((3 * loads[:, None] + np.arange(3)).reshape(-1))
 
 
 def draw_load_sets(
@@ -155,6 +160,7 @@ class _Sampler:
         self._loads = whole[:, begin : begin + count].reshape(len(values), -1, 3) / np.sqrt(LEVELS[-1])
         self._beside = np.delete(whole, slice(begin, begin + count), axis=1)
         self._begin, self._base = begin, np.eye(len(values)) + self._beside @ self._beside.T
+        self._variances = np.concatenate([[0.0], LEVELS])  # by level
         self._levels = self._nearest_levels(amplitudes.variances.cpu().numpy())
 
     def _nearest_levels(self, variances: FloatArray) -> _IntArray:
@@ -188,7 +194,7 @@ class _Sampler:
         covariance = self._base.copy()
         for load in np.flatnonzero(self._levels):
             columns = self._loads[:, load]
-            covariance += LEVELS[self._levels[load] - 1] * (columns @ columns.T)
+            covariance += self._variances[self._levels[load]] * (columns @ columns.T)
         return np.asarray(np.linalg.inv(covariance))
 
     def _drawn(self, block: _IntArray, moved: FloatArray, rng: np.random.Generator) -> _IntArray:
@@ -201,7 +207,7 @@ class _Sampler:
         values, vectors = np.linalg.eigh(told)
         right = np.einsum("bij,bi->bj", vectors, np.einsum("cbi,c->bi", moved, self._seen))
         # As if the load did not act.
-        own = np.concatenate([[0.0], LEVELS])[self._levels[block]][:, None]
+        own = self._variances[self._levels[block]][:, None]
         left = np.maximum(1.0 - own * values, _LEAST_LEFT)
         values, right = np.maximum(values, 0.0) / left, right / left
         scaled = LEVELS * values[..., None]
@@ -214,15 +220,14 @@ class _Sampler:
 
     def _changed(self, inverse: FloatArray, load: int, moved: FloatArray, level: int) -> FloatArray:
         """Give a load another level; return C^-1 then. `moved`, (c, 3), is C^-1 B of it."""
-        variances = np.concatenate([[0.0], LEVELS])
-        by = variances[level] - variances[self._levels[load]]
+        by = self._variances[level] - self._variances[self._levels[load]]
         self._levels[load] = level
         small = np.linalg.inv(np.eye(3) / by + self._loads[:, load].T @ moved)
         return np.asarray(inverse - moved @ small @ moved.T)
 
     def _set(self, inverse: FloatArray) -> LoadSet:
         loads = np.flatnonzero(self._levels)
-        level = LEVELS[self._levels[loads] - 1].repeat(3)
+        level = self._variances[self._levels[loads]].repeat(3)
         acting = self._loads[:, loads].reshape(len(inverse), -1) * np.sqrt(level)
         unit = np.sqrt(self._equal[loads].repeat(3) * level)
         behind = len(self._root) - self._begin - 3 * len(self._equal)
@@ -235,6 +240,5 @@ class _Sampler:
         others = self._beside.T @ explained
         mean[: self._begin] = self._root[: self._begin] * others[: self._begin]
         mean[len(mean) - behind :] = others[self._begin :]
-        columns = self._begin + (3 * loads[:, None] + np.arange(3)).reshape(-1)
-        mean[columns] = unit * (acting.T @ explained)
+        mean[self._begin + _components(loads)] = unit * (acting.T @ explained)
         return LoadSet(loads, mean, scale[:, None] * covariance * scale)

@@ -99,12 +99,28 @@ def test_likeliest_variances_are_surer_than_all_sets(small, monkeypatch):
     assert sets.nuisance_covariance[0, 0] > 1.3 * float(np.square(relevant).sum())
 
 
-def test_same_seed_draws_the_same_sets_and_begins_with_relevant_loads(small):
+def test_same_seed_draws_the_same_sets(small):
     found = amplitudes()
     first, again, other = drawn(found), drawn(found), drawn(found, seed=1)
     assert len(first.drawn) == load_sets.SWEEPS - 20
     means = [[each.mean for each in one.drawn] for one in (first, again, other)]
     assert np.array_equal(means[0], means[1]) and not np.array_equal(means[0], means[2])
+
+
+def test_no_load_moves_anything_farther_than_a_load_can(small):
+    # Of which nothing is seen: what is known of it afterwards is what was known before.
+    unseen = MODEL.copy()
+    unseen[:, FIELD + 6 : FIELD + 9] = 0.0
+    gram, right = torch.from_numpy(unseen.T @ unseen), torch.from_numpy(unseen.T @ DATA)
+    found = determine_relevance(gram, right, START, (FIELD,), 1, 1e-6)
+    response = np.zeros((1, 3, 3 * LOADS))
+    response[0, :, 6:9] = 2.0 * np.eye(3)
+    equal, powers = torch.full((LOADS,), EQUAL, dtype=torch.float64), torch.tensor([1e-9, 1e-9, 3.0 * 2.0**2])
+    far, near = (
+        draw_load_sets(found, equal, farthest, LOADS).covariance(response) for farthest in (NEAR, powers)
+    )
+    assert np.sqrt(near.diagonal(axis1=1, axis2=2)).max() < load_sets.FARTHEST_M
+    assert np.sqrt(far.diagonal(axis1=1, axis2=2)).min() > 5.0 * load_sets.FARTHEST_M
 
 
 def test_loads_behind_the_pushing_ones_never_act(small):
