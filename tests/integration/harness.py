@@ -145,7 +145,7 @@ class PlainClient:
         self.node = rclpy.create_node("test_client", context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
-        self.name = name
+        self.name, self._callers = name, {}
 
     def __enter__(self):
         return self
@@ -173,11 +173,15 @@ class PlainClient:
         return "nothing was heard"
 
     def call(self, kind, service: str, request, timeout: float = 60.0):
-        client = self.node.create_client(kind, f"{self.name}/{service}")
-        self.wait(client.service_is_ready, f"service {service}", timeout)
+        client = self._callers.get((kind, service))
+        if client is None or not client.service_is_ready():
+            client = client or self.node.create_client(kind, f"{self.name}/{service}")
+            self._callers[kind, service] = client
+            self.wait(client.service_is_ready, f"service {service}", timeout)
+            # The node's side of the match: without it the middleware loses the response.
+            self.spin(0.3)
         future = client.call_async(request)
         self.wait(future.done, f"response of {service}", timeout)
-        self.node.destroy_client(client)
         return future.result()
 
 
